@@ -132,6 +132,7 @@ def irradiance_against_truth(session: Session) -> tuple[float, float]:
 def _figures(
     session: Session, scores: TrainAnswer, annual: Annual
 ) -> tuple[tuple[str, str, str], ...]:
+    """Return the figures of the demo: name, value with unit, and what it is."""
     from fieldlum.learn import models
     from fieldlum.year import predict
 

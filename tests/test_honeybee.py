@@ -11,8 +11,8 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Obstruction, Room, Window
 from fieldlum.optics.projection import direction
 from fieldlum.room.scene.geometry import build
-from fieldlum.room.scene.honeybee import honeybee_model
 from fieldlum.room.scene.radiance import SKY_TEXT, octree, rad_text, trace
+from fieldlum.room.scene.write_honeybee import honeybee_model
 
 ROOM = Room(
     width_m=4,

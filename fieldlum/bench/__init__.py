@@ -168,11 +168,16 @@ def _is_finite(row: Mapping[str, Any], *keys: str) -> bool:
 
 
 def _points(axis: Any, rows: Sequence[Mapping[str, Any]], key: str) -> None:
-    """Draw the models and their Pareto front; models without sun patches are hollow."""
+    """Draw the models and their Pareto front; models without sun patches are hollow.
+
+    rows: of the score table; key: the column on the x axis, such as a time in seconds. On the y
+    axis is paper_log10_mse.
+    """
     points = [(row[key], row["paper_log10_mse"]) for row in rows]
     if front := [points[k] for k in pareto(points)]:
         label = "Pareto front of the measured"
-        axis.step(*zip(*front, strict=True), where="post", color="#0b6e99", alpha=0.6, label=label)
+        x, y = zip(*front, strict=True)
+        axis.step(x, y, where="post", color="#0b6e99", alpha=0.6, label=label)
     for row, point in zip(rows, points, strict=True):
         name, colour = row["name"], _colour(row["name"])
         face = "white" if ":none" in name else colour

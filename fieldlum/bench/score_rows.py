@@ -54,6 +54,10 @@ def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
 
 
 def _parse_spec(text: str) -> Spec:
+    """Return a model, by its name (with a use of sun patches) or its folder.
+
+    Raises InputError for another text.
+    """
     name, _, patch = text.partition(":")
     if name in MODELS and patch in ("", *get_args(Patch)):
         return Spec(text, name, cast(Patch, patch or "absolute"))
@@ -154,13 +158,18 @@ def score_row(
 def _fitted(
     spec: Spec, data: Dataset, patch: Patch, seed: int, budget_s: float
 ) -> tuple[models.Fitted, Spent, int]:
+    """Return a model, the time that its training took (NaN: unknown), and its number of hours.
+
+    It is fitted to `data`, or read from the folder of `spec`, for which the other arguments do not
+    count. budget_s: time limit of the fit.
+    """
     if spec.folder is None:
         fitted, spent = fit_timed(spec.name, data, patch=patch, seed=seed, budget_s=budget_s)
         return fitted, spent, len(data)
     config = models.read_config(spec.folder)
     about = config.state.get("dense_training", {})
-    wall_s, cpu_s = (float(about.get(name, math.nan)) for name in ("seconds", "cpu_seconds"))
-    spent = Spent(wall_s=wall_s, cpu_s=cpu_s)
+    wall_s = float(about.get("seconds", math.nan))
+    spent = Spent(wall_s=wall_s, cpu_s=float(about.get("cpu_seconds", math.nan)))
     return models.load(spec.folder), spent, len(config.training.slots)
 
 

@@ -209,7 +209,7 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
         name = f"north off by {degrees:g} degrees"
         yield Case(name, wrong_north(data, degrees), wrong_north(test, degrees), base)
     for minutes in (5, 15):
-        late = late_clock(data, minutes), late_clock(test, minutes)
+        late = (late_clock(data, minutes), late_clock(test, minutes))
         yield Case(f"clock off by {minutes} min", *late, base)
 
 

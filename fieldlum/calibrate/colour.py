@@ -226,7 +226,8 @@ def _without_outliers(colours: Colours, priors: Sequence[Floats]) -> tuple[Colou
     """Return the colours without gross errors of readings, and a text on the omitted readings.
 
     A gross error is a wrong factor, such as a decimal point or another unit. At most a quarter of
-    the readings is omitted.
+    the readings is omitted. priors: coefficients [3] each; the one with the smallest deviations
+    decides.
     """
     ratios = [colours.rgb @ prior / colours.y for prior in priors]
     offs = [np.log(np.where(ratio > 0.0, ratio, np.median(ratio))) for ratio in ratios]
@@ -294,12 +295,12 @@ def chart_xyz(cct_k: float = 6500.0) -> Floats:
 def daylight_parts(cct_k: float) -> Floats:
     """Return the weights of S0, S1 and S2 in CIE daylight of a correlated colour temperature, [3].
 
-    Raises ValueError for a colour temperature outside 4000 to 25 000 K.
+    Raises ValueError for a colour temperature outside 4000 to 25 000 K. cct_k: the temperature.
     """
     if not 4000.0 <= cct_k <= 25_000.0:
         raise ValueError(f"{cct_k:g} K: CIE daylight is defined from 4000 to 25 000 K")
     x, y = melanopic.daylight_xy(cct_k)
-    m = 0.0241 + 0.2562 * x - 0.7341 * y
+    m = 0.0241 + 0.2562 * x - 0.7341 * y  # M, M1 and M2 of CIE 15
     m1 = (-1.3515 - 1.7703 * x + 5.9114 * y) / m
     m2 = (0.0300 - 31.4424 * x + 30.0717 * y) / m
     return np.array([1.0, m1, m2])
@@ -343,14 +344,15 @@ def with_melanopic(
     chart, else from the colour matrix in the frames. The weight follows from X, Y, Z, and from
     readings of a spectrometer if there are any. Without any of these, the table has none.
     """
-    by, to_xyz = melanopic.BY_MATRIX, rgb_to_xyz(RADIANCE_CHROMATICITIES)
+    # `origin`: the weights of X, Y, Z and their relative uncertainty, by where the colours are from
+    origin, to_xyz = melanopic.BY_MATRIX, rgb_to_xyz(RADIANCE_CHROMATICITIES)
     if cct_k is not None and colours.of_chart:
-        xyz, by = xyz_from_chart(colours.rgb, colour.y_from_rgb, cct_k), melanopic.BY_CHART
+        xyz, origin = xyz_from_chart(colours.rgb, colour.y_from_rgb, cct_k), melanopic.BY_CHART
         line = f"melanopic: chart under daylight of {cct_k:g} K"
     elif colours.matrix is not None:
         grey, line = colours.rgb.mean(axis=0), "melanopic: the file's colour matrix"
         if cct_k is not None:
-            grey, by = colours.rgb[0], melanopic.BY_WHITE
+            grey, origin = colours.rgb[0], melanopic.BY_WHITE
             line += f", with a grey surface in daylight of {cct_k:g} K"
         expected = "a grey or white surface in daylight as the first reading"
         with input_errors(colours.places[0].path, expected, "correct it or --cct", ValueError):
@@ -364,14 +366,14 @@ def with_melanopic(
     else:
         none = replace(colour, melanopic_from_rgb=(), melanopic_u_rel=0.0)
         return none, "melanopic: none; use a chart with --cct, or raw frames with a colour matrix"
-    weights, u_rel = by[0] @ xyz, by[1]
+    weights, u_rel = origin[0] @ xyz, origin[1]
     if colours.melanopic is not None:
         start = replace(profile.colour, y_from_rgb=tuple(weights.tolist()))
         read = replace(colours, y=colours.melanopic, matrix=None)
-        found = fit(read, replace(profile, colour=start))
-        weights = np.array(found.y_from_rgb) * found.scale / scale
+        read_fit = fit(read, replace(profile, colour=start))
+        weights = np.array(read_fit.y_from_rgb) * read_fit.scale / scale
         # the ratio has the errors of both readings
-        u_rel = float(np.hypot(*np.maximum((found.u_rel, colour.u_rel), fit_steps.READING_U)))
+        u_rel = float(np.hypot(*np.maximum((read_fit.u_rel, colour.u_rel), fit_steps.READING_U)))
         line = f"{line}, then {len(read.y)} readings"
     elif not clear_glass:
         u_rel = float(np.hypot(u_rel, melanopic.U_GLASS))
@@ -417,7 +419,7 @@ def patch_centres(corners: Floats) -> tuple[Array, float]:
     h = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
     down, right = np.mgrid[:ROWS, :COLUMNS].reshape(2, -1) + 0.5
     centres = cv2.perspectiveTransform(np.stack([right, down], axis=1)[None], h)[0]
-    gap = np.linalg.norm(centres[1] - centres[0]), np.linalg.norm(centres[COLUMNS] - centres[0])
+    gap = (np.linalg.norm(centres[1] - centres[0]), np.linalg.norm(centres[COLUMNS] - centres[0]))
     return centres, 0.25 * float(min(gap))
 
 
@@ -461,5 +463,5 @@ def chart(colours: Colours, fit: ColourFit) -> Chart:
     """Return a chart of the readings of the patches, and the fitted luminance."""
     new = colours.rgb @ np.array(fit.y_from_rgb) * fit.scale
     title = f"colour to luminance; held-out rms {100 * fit.u_rel:.2g} %"
-    y = "reading, or chart [%]", colours.y
+    y = ("reading, or chart [%]", colours.y)
     return Chart(title, -fit.residual, colours.places, y=y, fitted=new)

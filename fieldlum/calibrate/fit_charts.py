@@ -65,6 +65,7 @@ def draw(chart: Chart, path: Path) -> None:
 
 
 def _draw_curves(chart: Chart, left: Any, right: Any) -> None:
+    """Draw readings (red) and fit (blue) on the axes `left`, and the residuals on `right`."""
     y_label, y = chart.y
     label, x = chart.x if chart.x[0] else ("reading", np.arange(1, len(y) + 1))
     shown = {"linestyle": "", "markersize": 3.5, "alpha": min(1.0, 200 / max(len(x), 1))}
@@ -124,7 +125,7 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
     if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff"):
         with input_errors(path, "JPEG, PNG or raw", "check the path", OSError):
             data = read_bytes(path)
-        stated = int.from_bytes(data[16:20]), int.from_bytes(data[20:24])  # of a PNG, in its IHDR
+        stated = (int.from_bytes(data[16:20]), int.from_bytes(data[20:24]))  # of a PNG, in its IHDR
         width, height = stated if data.startswith(b"\x89PNG") else jpeg_size(path)
         if width * height > MAX_CAMERA_PIXELS:
             expected = f"at most {MAX_CAMERA_PIXELS:,} pixels"

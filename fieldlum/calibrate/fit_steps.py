@@ -166,7 +166,7 @@ def read_table(
     missing or unknown column, an invalid or empty cell, or a csv without readings.
     """
     table = _table(path)
-    names = *required, *optional
+    names = (*required, *optional)
     wrong = [f"no column {name}" for name in required if name not in table.names]
     wrong += [f"unknown column {name}" for name in table.names if name not in names]
     if wrong:
@@ -198,7 +198,7 @@ def refuse_beyond_lens(widest_deg: float, lens: Lens, source: Path | str) -> Non
     """Raise InputError if the widest angle from the axis is impossible for the lens.
 
     source : of the angle. Data sheets round full angles, so that true readings are up to 5 % beyond
-    half of them.
+    half of them. widest_deg: the angle.
     """
     half_deg = lens.full_angle_deg / 2
     if widest_deg > 1.05 * half_deg:
@@ -220,6 +220,11 @@ def _table(path: Path) -> strict_csv.CsvTable:
 
 
 def _cell(path: Path, line: int, name: str, text: str, has_commas: bool) -> Any:
+    """Return the value of a cell of a csv: a path for the columns `_PATHS`, else a number.
+
+    line: for the error; name: of the column; has_commas: whether the file has decimal commas.
+    Raises InputError for a text that is no number.
+    """
     if name in _PATHS:
         return path.parent / text
     number = text.replace(".", "?").replace(",", ".") if has_commas else text
@@ -256,16 +261,17 @@ class LinearFrame:
         """Return the mean colour [3] of the good pixels in a disc around x_px, y_px, and its u.
 
         u is the relative standard uncertainty of green. The tenth of the pixels with the smallest
-        and the tenth with the largest values do not count. All in sensor pixels. Raises InputError
-        for a disc that is not completely in the picture, or if over a fifth of its pixels are bad.
+        and the tenth with the largest values do not count. x_px, y_px, radius_px: in sensor pixels.
+        Raises InputError for a disc that is not completely in the picture, or if over a fifth of
+        its pixels are bad.
         """
         from scipy.stats import trim_mean
 
-        h, w = self.bad.shape
+        height, width = self.bad.shape
         x, y, r = x_px / self.step, y_px / self.step, max(radius_px / self.step, 1.0)
         name = f"the patch at x {x_px:g}, y {y_px:g} px with a radius of {radius_px:g} px"
-        if not (r <= x <= w - r and r <= y <= h - r):
-            inside = f"one inside the picture of {w * self.step} x {h * self.step} px"
+        if not (r <= x <= width - r and r <= y <= height - r):
+            inside = f"one inside the picture of {width * self.step} x {height * self.step} px"
             raise InputError(self.path, name, inside, "correct x_px, y_px or radius_px")
         cut = np.s_[int(y - r) : int(y + r) + 1, int(x - r) : int(x + r) + 1]
         yy, xx = np.mgrid[cut]
@@ -306,11 +312,11 @@ def own_mosaic(path: Path, profile: CameraProfile) -> Mosaic:
 def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
     """Return a raw frame at half its size, the two greens averaged, in cd/m2 at the profile's k."""
     mosaic = own_mosaic(path, profile)
-    rows, columns = (n // 2 * 2 for n in mosaic.counts.shape)
-    planes = [mosaic.counts[r:rows:2, c:columns:2] for r, c in channel_positions(mosaic.cfa)]
-    full = linear_light.full_dn(
-        mosaic, profile, [saturation_plateau(p, mosaic.white_dn) for p in planes]
-    )
+    rows, columns = (count // 2 * 2 for count in mosaic.counts.shape)
+    # red, both greens, blue
+    planes = [mosaic.counts[i:rows:2, j:columns:2] for i, j in channel_positions(mosaic.cfa)]
+    plateaus = [saturation_plateau(plane, mosaic.white_dn) for plane in planes]
+    full = linear_light.full_dn(mosaic, profile, plateaus)
     bad = np.zeros(planes[0].shape, bool)
     shares = []
     for plane, black, top in zip(planes, linear_light.black_dn(mosaic, profile), full, strict=True):

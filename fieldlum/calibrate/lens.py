@@ -94,7 +94,7 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     models = {name: m for name, m in MODELS.items() if not m[1] or n >= 3 * (len(m[1]) + 5)}
 
     def solved(model: Model, rows: Mask) -> Lens:
-        at = targets.x_px[rows], targets.y_px[rows]
+        at = (targets.x_px[rows], targets.y_px[rows])
         return _solve(start, model, *at, lambda _: targets.rays[rows], pose=True)[0]
 
     every = [_misses(solved(model, np.ones(n, bool)), targets)[0] for model in models.values()]
@@ -140,8 +140,10 @@ def _solve(
 ) -> tuple[Lens, Array, Any]:
     """Fit a lens to places [n] by robust least squares; return it, and the other unknowns.
 
-    rays_of : directions [n, 3] of the places, by the other unknowns [m], which start at `others`.
-    pose : the lens's pose is fitted too. The last result is scipy's solution.
+    start : the lens from which the search starts; model : mapping and powers, one of `MODELS`;
+    x_px, y_px : the places. rays_of : directions [n, 3] of the places, by the other unknowns [m],
+    which start at `others`. pose : the lens's pose is fitted too. The last result is scipy's
+    solution.
     """
     from scipy.optimize import least_squares
 
@@ -177,8 +179,8 @@ def _solve(
     angles = list(_pose_of(start).values())[:posed]
     begin = [*start.centre_px, start.radius_px, *angles, *(terms.get(p, 0.0) for p in powers[1:])]
     begin += list(others)
-    found = least_squares(misses, begin, x_scale="jac", loss="soft_l1", f_scale=2.0, max_nfev=400)
-    return lens_of(found.x), found.x[3 + posed + free :], found
+    solved = least_squares(misses, begin, x_scale="jac", loss="soft_l1", f_scale=2.0, max_nfev=400)
+    return lens_of(solved.x), solved.x[3 + posed + free :], solved
 
 
 def _misses(lens: Lens, targets: Targets) -> tuple[Array, Array]:
@@ -238,7 +240,8 @@ def _with_fitted_pose(targets: Targets, lens: Lens) -> Lens:
 def _rotation_between(directions: Array, true: Array) -> tuple[float, Any]:
     """Return the median distance (chord) of directions [n, 3] after rotation, and the rotation.
 
-    The rotation of scipy solves Wahba's problem (1965), with less weight for gross errors.
+    The rotation of scipy solves Wahba's problem (1965), with less weight for gross errors. true:
+    the directions after it [n, 3].
     """
     from scipy.spatial.transform import Rotation
 
@@ -326,6 +329,7 @@ def _board_pose(level: Lens, corners: Array, points: Array) -> Array:
     """Return the pose of a board by a lens: rotation vector [rad] and position [squares], [6].
 
     The corners are projected to a plane in front of the board, as a pinhole camera sees them.
+    points: the corners on the board, in squares [n, 3].
     """
     import cv2
     from scipy.spatial.transform import Rotation
@@ -444,7 +448,7 @@ def chart(targets: Targets, fit: LensFit) -> Chart:
     x, y, angle_rad = lens_pixels(fit.lens, targets.rays)
     x0, y0 = fit.lens.centre_px
     at, fitted = np.hypot(targets.x_px - x0, targets.y_px - y0), np.hypot(x - x0, y - y0)
-    angle = "angle from the optical axis [deg]", np.degrees(angle_rad)
+    angle = ("angle from the optical axis [deg]", np.degrees(angle_rad))
     title = f"lens, {fit.lens.mapping}; rms {fit.choice.rms:.2g} px"
     return Chart(title, at / fitted - 1.0, (), angle, ("distance from the centre [px]", at), fitted)
 

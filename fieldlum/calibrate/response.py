@@ -197,7 +197,8 @@ def sample(
     """Sample the same flat places in every frame of a bracket, pooled over brackets.
 
     If the profile's shutter law is "auto", the law is that of the EXIF times; the overlap of the
-    frames then corrects single steps. The places are spread over the brightnesses. Raises
+    frames then corrects single steps. brackets: the frames of each; rng: of the choice of places,
+    which are spread over the brightnesses. Raises
     InputError for a bracket of mixed apertures or sizes or with fewer than three exposures,
     NotEnoughDataError for one with fewer than 50 flat, well exposed places.
     """
@@ -213,10 +214,10 @@ def sample(
             raise InputError(paths[0].parent, finding, expected, "take more exposures")
     grid = np.unique(np.concatenate(axes))
     of_brackets = [np.zeros((len(part), len(grid), 3), np.uint8) for part, _ in parts]
-    for own, (part, _), log_e in zip(of_brackets, parts, axes, strict=True):
-        own[:, np.searchsorted(grid, log_e)] = part
+    for on_grid, (part, _), log_e in zip(of_brackets, parts, axes, strict=True):
+        on_grid[:, np.searchsorted(grid, log_e)] = part
     codes = np.concatenate(of_brackets)
-    bracket = np.repeat(np.arange(len(parts)), [len(own) for own in of_brackets])
+    bracket = np.repeat(np.arange(len(parts)), [len(part) for part in of_brackets])
     steady = _is_steady(codes, grid)
     codes, bracket = codes[steady], bracket[steady]
     steps = steps_by_overlap(codes, grid, bracket)
@@ -229,7 +230,8 @@ def _flat_places(
 ) -> tuple[NDArray[np.uint8], list[Exposure]]:
     """Return the mean codes of a bracket's 3 x 3 blocks without an edge, inside the lens circles.
 
-    The result is [places, frames, 3], and the exposures by EXIF. At most 2 million blocks on a grid
+    paths: of the frames; rng: of the choice among places of one brightness. The codes are
+    [places, frames, 3], and the exposures are by EXIF. At most 2 million blocks on a grid
     are compared, one frame at a time. Half of the places are spread over the brightnesses, and each
     pair of neighbouring exposures has up to `_PLACES_OF_STEP` that both show.
     """
@@ -262,9 +264,9 @@ def _flat_places(
     chosen = _spread_indices(brightness, min(500, len(flat)))  # more did not change the table
     held, unevenness = held[:, flat], np.where(held, spread, 0)[:, flat].max(axis=0)
     for first, second in pairwise(np.argsort([e.shutter_s * e.iso for e in exposures])):
-        both = held[first] & held[second]
-        lacking = max(0, _PLACES_OF_STEP - np.count_nonzero(both[chosen]))
-        others = np.setdiff1d(np.flatnonzero(both), chosen)
+        in_both = held[first] & held[second]
+        lacking = max(0, _PLACES_OF_STEP - np.count_nonzero(in_both[chosen]))
+        others = np.setdiff1d(np.flatnonzero(in_both), chosen)
         evenest = others[np.argsort(unevenness[others], kind="stable")[:lacking]]
         chosen = np.concatenate([chosen, evenest])
     return codes[:, flat[np.sort(chosen)]].transpose(1, 0, 2), exposures
@@ -290,13 +292,12 @@ def _noise_spread(spread: NDArray[np.uint8], level: NDArray[np.uint8]) -> Floats
     so that the frame decides whose quietest quarter of the blocks with such a code spreads least: a
     lamp in a dark frame has only edges. Half as much again is noise too, and so are 9 codes.
     """
-    limit, part = np.full(256, 9.0), level // 32
-    for k in range(8):
-        near = [
-            own[(own < _DOES_NOT_HOLD) & (of == k)] for own, of in zip(spread, part, strict=True)
-        ]
-        quiet = [float(np.quantile(some, 0.25)) for some in near if len(some) >= 200]
-        limit[32 * k : 32 * k + 32] = max(9.0, 1.5 * min(quiet, default=0.0))
+    limit = np.full(256, 9.0)
+    for first in range(0, 256, 32):  # code
+        near = (spread < _DOES_NOT_HOLD) & (level // 32 == first // 32)
+        of_frames = [values[used] for values, used in zip(spread, near, strict=True)]
+        quiet = [float(np.quantile(values, 0.25)) for values in of_frames if len(values) >= 200]
+        limit[first : first + 32] = max(9.0, 1.5 * min(quiet, default=0.0))
     return limit
 
 
@@ -387,14 +388,14 @@ def fit(places: Places) -> ResponseFit:
 def chart(places: Places, fit: ResponseFit) -> Chart:
     """Return a chart of the light of the sampled places over their codes, in all colours.
 
-    A residual is the light of a place by one frame less the mean by all frames.
+    A residual is the light of a place by one frame less the mean by all frames, as a share.
     """
-    r, parts = fit.response, []
-    for c, curve in enumerate((r.red, r.green, r.blue)):
-        table, codes = response_table(r.kind, curve), places.codes[..., c]
-        off = _off_mean(table, codes, places.log_exposure, r.low_code)
+    response, parts = fit.response, []
+    for c, curve in enumerate((response.red, response.green, response.blue)):
+        table, codes = response_table(response.kind, curve), places.codes[..., c]
+        off = _off_mean(table, codes, places.log_exposure, response.low_code)
         counts = np.isfinite(off)
         parts.append([values[counts] for values in (codes, table[codes], off)])
     codes, tables, off = (np.concatenate(values) for values in zip(*parts, strict=True))
-    title = f"JPEG response, {r.kind}; held-out rms {100 * r.u_rel:.2g} %"
+    title = f"JPEG response, {response.kind}; held-out rms {100 * response.u_rel:.2g} %"
     return Chart(title, off, (), ("code", codes), ("linear light z", tables * np.exp(-off)), tables)

@@ -82,7 +82,12 @@ def from_table(
 
 
 def _reading(path: Path, row: fit_steps.CsvRow, picture: Panorama, to_k: float) -> LuminanceReading:
-    """Return a line of the csv as a reading."""
+    """Return a line of the csv as a reading.
+
+    row: its values; picture: the panorama that it names; to_k: factor on the picture's luminance
+    that makes it that of the profile's k. Raises InputError for neither or both of luminance and
+    illuminance, and for clipped pixels.
+    """
     at = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])
     spot, plane = row["luminance_cdm2"], row["illuminance_lx"]
     if (spot is None) == (plane is None):

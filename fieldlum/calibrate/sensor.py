@@ -219,7 +219,7 @@ def _residuals(solution: Floats, levels: Levels, rows: Mask, of: Mask) -> Floats
 def _solve(levels: Levels, rows: Mask, order: int) -> tuple[Floats, Floats]:
     """Return offset [s] and coefficients by weighted least squares over `rows`, and covariance.
 
-    It starts from a linear sensor without an offset.
+    It starts from a linear sensor without an offset. order: of the polynomial.
     """
     from scipy.optimize import least_squares
 
@@ -241,7 +241,8 @@ def _held_out(levels: Levels, solution: Floats, held: Mask) -> Floats:
     """Return the squared relative error of predicting each frame from the other exposure times.
 
     The shortest and the longest time are NaN, because that would be extrapolation. Blocks count by
-    their weights, so that noise in dark frames does not decide.
+    their weights, so that noise in dark frames does not decide. solution: offset and coefficients
+    by `_solve`; held: mask of the frames to predict.
     """
     residuals = _residuals(solution, levels, ~held, held)
     weight = np.where(np.isfinite(residuals), levels.weight[held], 0.0)

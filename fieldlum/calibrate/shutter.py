@@ -158,15 +158,18 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
 def _reading(
     long: FrameQuality, short: FrameQuality, neighbour: NeighbourQuality
 ) -> ShutterReading | None:
-    """Return the ratio of two neighbouring frames; None for a pair to omit."""
-    a, b, u_log = long.exposure, short.exposure, neighbour.u_percent / 100
+    """Return the ratio of two neighbouring frames; None for a pair to omit.
+
+    long, short: the frames; neighbour: the comparison of their common pixels by merge.
+    """
+    of_long, of_short, u_log = long.exposure, short.exposure, neighbour.u_percent / 100
     log_ratio = neighbour.residual_percent / 100 + math.log(short.correction / long.correction)
-    same_time = abs(b.shutter_s / a.shutter_s - 1) < SAME_LABEL
+    same_time = abs(of_short.shutter_s / of_long.shutter_s - 1) < SAME_LABEL
     is_sure = math.isfinite(log_ratio) and 0.0 < u_log < 0.01
-    if a.nd or b.nd or same_time or a.iso != b.iso or not is_sure:
+    if of_long.nd or of_short.nd or of_long.iso != of_short.iso or same_time or not is_sure:
         return None
     seconds = (short.t_utc - long.t_utc).total_seconds() if short.t_utc and long.t_utc else 0.0
-    pair = a.shutter_s, b.shutter_s
+    pair = (of_long.shutter_s, of_short.shutter_s)
     return ShutterReading(pair, log_ratio=log_ratio, u_log=u_log, seconds=seconds)
 
 
@@ -282,10 +285,13 @@ def _times_at_common_level(
 ) -> tuple[Floats, Floats]:
     """Return ln of true over assumed time [n], and its u.
 
-    The uncertainty is relative to the common level, which is part of k. u_drift_per_s : of a drift
-    that all brackets have in common, which cannot be separated from an error of the shutter.
+    ratios: measured, by pair of a longer and a shorter time; nominal: the n times [s]; u_prior:
+    relative standard uncertainty of each before the measurement [n]. The uncertainty is relative to
+    the common level, which is part of k. u_drift_per_s : of a drift that all brackets have in
+    common, which cannot be separated from an error of the shutter.
     """
-    long, short = (np.array([nominal.index(pair[k]) for pair in ratios]) for k in (0, 1))
+    long = np.array([nominal.index(pair[0]) for pair in ratios])
+    short = np.array([nominal.index(pair[1]) for pair in ratios])
     design = np.eye(len(nominal))[short] - np.eye(len(nominal))[long]
     weight = 1.0 / np.array([ratio.error for ratio in ratios.values()]) ** 2
     normal = design.T @ (weight[:, None] * design) + np.diag(u_prior**-2.0)

@@ -178,5 +178,5 @@ def chart(readings: Sequence[StrayReading], fit: StrayFit) -> Chart:
     recorded = np.array([r.stray_cdm2 for r in readings])
     title = f"Stray light: {100 * fit.total_share:.2g} % of a source's light is spread"
     off, places = recorded / fit.predicted_cdm2 - 1.0, [r.place for r in readings]
-    y = "stray light [cd/m²]", recorded
+    y = ("stray light [cd/m²]", recorded)
     return Chart(title, off, places, y=y, fitted=fit.predicted_cdm2)

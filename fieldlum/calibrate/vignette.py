@@ -122,8 +122,8 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
     weights, f_numbers = np.array(profile.colour.y_from_rgb), {}
     for path in paths:
         frame = fit_steps.linear_frame(path, profile)
-        h, w = frame.bad.shape
-        y, x = (np.mgrid[:h, :w] + 0.5) * frame.step
+        height, width = frame.bad.shape
+        y, x = (np.mgrid[:height, :width] + 0.5) * frame.step
         radius = relative_radius(geometry, x, y)
         r = angle_of_radius(geometry, radius) / geometry.half_angle_rad
         rings += _rings(r, frame.rgb @ weights, ~frame.bad & (radius < 0.99))
@@ -137,7 +137,10 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
 
 
 def _rings(r: Array, value: Array, good: Mask) -> list[tuple[float, float, float]]:
-    """Return the middle r, the median and its relative u of each ring with 20 good pixels."""
+    """Return the middle r, the median and its relative u of each ring with 20 good pixels.
+
+    r: angle over half of the full angle; value: luminance; both for all pixels.
+    """
     ring, rings = np.minimum((r * 60).astype(int), 59), []
     for number in range(60):
         inside = value[good & (ring == number)]
@@ -157,20 +160,25 @@ def _design(r: Array, order: int) -> Array:
 
 
 def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
-    """Fit level * V(r) in even powers of r by least squares, with V' <= 0 up to the edge."""
+    """Fit level * V(r) in even powers of r by least squares, with V' <= 0 up to the edge.
+
+    r: angle over half of the full angle [n]; value, u_rel: readings and their relative standard
+    uncertainty [n]; order: highest power. Return the coefficients of 1, r^2, r^4 ..., with the
+    level.
+    """
     from scipy.interpolate import BPoly, PPoly
     from scipy.optimize import nnls
 
     scale = float(np.median(value))
-    a, b = _design(r, order) / (u_rel * value / scale)[:, None], 1.0 / u_rel
-    theta = np.linalg.lstsq(a, b, rcond=None)[0]
+    design, right = _design(r, order) / (u_rel * value / scale)[:, None], 1.0 / u_rel
+    theta = np.linalg.lstsq(design, right, rcond=None)[0]
     if (np.diff(_design(np.linspace(0.0, 1.0, 51), order) @ theta) > 1e-11).any():
         # Bernstein polynomials of r^2 whose coefficients fall give a curve that falls.
         count = order // 2 + 1
         bernstein = BPoly(np.eye(count)[:, None], [0.0, 1.0])
         of_powers = PPoly.from_bernstein_basis(bernstein).c[::-1, 0]  # [powers, polynomials]
         steps = of_powers @ np.triu(np.ones((count, count)))
-        theta = steps @ nnls(a @ steps, b)[0]
+        theta = steps @ nnls(design @ steps, right)[0]
     return theta * scale
 
 
@@ -183,8 +191,8 @@ def fit(samples: Samples) -> VignettingFit:
     InputError for readings that are not positive or rise to the edge.
     """
     _check(samples)
-    near = ~_contradicting(samples)
-    r, value, u = (x[near] for x in (samples.r, samples.value, samples.u_rel))
+    used = ~_contradicting(samples)
+    r, value, u = samples.r[used], samples.value[used], samples.u_rel[used]
     axis, change = np.polynomial.polynomial.polyfit(r**2, value, 1, w=1.0 / (u * value))
     if (rise := float(change / axis)) > MAX_ERROR:  # a common error: corrections, not losses
         finding = f"the readings rise by {100 * rise:.0f} % from the axis to the edge"
@@ -202,8 +210,8 @@ def fit(samples: Samples) -> VignettingFit:
     coefficients = np.zeros(2 * len(theta) - 1)
     coefficients[::2] = theta / theta[0]
     curve = tuple(coefficients.tolist())
-    if not near.all():
-        left_out = ", ".join(f"one at {100 * a:.0f} % of the half angle" for a in samples.r[~near])
+    if not used.all():
+        left_out = ", ".join(f"one at {100 * a:.0f} % of the half angle" for a in samples.r[~used])
         text = f"left out, because neighbouring readings differ: {left_out}"
         choice = replace(choice, line=f"{choice.line}; {text}")
     if wrong := check_vignetting(curve):
@@ -264,8 +272,8 @@ def with_curve(lens: Lens, f_number: float, vignetting: VignettingFit) -> Lens:
 
 def chart(samples: Samples, fit: VignettingFit, half_angle_deg: float) -> Chart:
     """Return a chart of transmission over angle from the axis; half_angle_deg : of the lens."""
-    angle = "angle from the optical axis [deg]", samples.r * half_angle_deg
-    value = "transmission relative to the axis", samples.value / fit.level
+    angle = ("angle from the optical axis [deg]", samples.r * half_angle_deg)
+    value = ("transmission relative to the axis", samples.value / fit.level)
     title = f"vignetting at f/{samples.f_number:g}; held-out rms {100 * fit.u_rel:.2g} %"
     curve = vignetting_at(fit.coefficients, samples.r)
     return Chart(title, fit.residual_rel, samples.places, angle, value, curve)

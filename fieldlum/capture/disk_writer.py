@@ -47,6 +47,11 @@ class Recorder:
         listen: Listen = lambda event, t_utc, fields: None,
         reserve: str = ".reserve",
     ) -> None:
+        """Open the journal and day files; reserve `reserve_bytes` on the disk for their last lines.
+
+        now: the clock's time in UTC; flush: write through to the disk after each line; listen: is
+        called with each event; reserve: name of the file that reserves the space.
+        """
         self._session, self._now, self._listen = session, now, listen
         self._reserve_bytes, self.flush = reserve_bytes, flush
         self._reserve = session.root / reserve

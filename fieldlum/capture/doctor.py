@@ -299,6 +299,7 @@ def judge_camera(info: CameraInfo, uri: str, frames: int) -> Iterator[Finding]:
 
 
 def _clock_of(offset_s: float | None) -> Finding:
+    """Return the finding about a camera's clock; offset_s: to this computer's, None: unknown."""
     what = "camera clock"
     if offset_s is None:
         text = "the camera does not report its time: photograph this computer's clock once"

@@ -130,15 +130,16 @@ def _parts_of_one_clock(
 ) -> list[list[Group]]:
     """Return the brackets in parts between which the camera's clock was set.
 
-    A stated offset `utc_offset_s`, and times that state UTC, hold for all frames of a part.
+    groups: brackets in order of the camera's clock; slots: of the plan; zone: IANA name of the
+    place. A stated offset `utc_offset_s`, and times that state UTC, hold for all frames of a part.
     """
     parts = match_card.split_at_gaps(groups)
     if utc_offset_s is not None or not slots:
         return parts
     pieces: list[list[Group]] = []
     for part in parts:
-        one = match_card.states_utc(part)
-        pieces += [part] if one else match_card.clock_parts(part, slots, zone)
+        is_utc = match_card.states_utc(part)
+        pieces += [part] if is_utc else match_card.clock_parts(part, slots, zone)
     return pieces
 
 
@@ -351,7 +352,7 @@ def without_edited(
     rank = {frame.path: (counts[f := _name_pattern(frame.path)], -len(f)) for frame in full}
     alike: dict[tuple[datetime, Exposure], list[CardFrame]] = {}
     for frame in full:
-        key = frame.t_camera.replace(microsecond=0), frame.exposure
+        key = (frame.t_camera.replace(microsecond=0), frame.exposure)
         alike.setdefault(key, []).append(frame)
     edited: set[Path] = set()
     for same in (group for group in alike.values() if len(group) > 1):

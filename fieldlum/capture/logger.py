@@ -29,6 +29,10 @@ class Logger:
     def __init__(
         self, keeper: Keeper[Pyranometer], recorder: Recorder, clock: SteadyClock, every_s: float
     ) -> None:
+        """Prepare a logger that polls a pyranometer every `every_s` seconds; `start` starts it.
+
+        keeper: holds the device; recorder: writes the samples.
+        """
         self.keeper, self.every_s = keeper, every_s
         self._recorder, self._clock = recorder, clock
         self._due = float("-inf")  # boot time of the next poll [s]
@@ -100,6 +104,7 @@ class Logger:
         self._thread.start()
 
     def _loop(self) -> None:
+        """Poll when it is due, until `stop`; run in the thread."""
         reported = ""
         while not self._stop.is_set():
             try:

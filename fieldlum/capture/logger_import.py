@@ -62,9 +62,10 @@ def import_rows(
 def _check_civil_time(path: Path, clock: Sequence[datetime], zone: ZoneInfo) -> None:
     """Raise InputError for a clock that leaps over the hour that begins summer time in `zone`.
 
-    The end of summer time, when a clock goes back, is found in any zone by `read_logger_file`.
+    clock: the rows' times, without a zone. The end of summer time, when a clock goes back, is found
+    in any zone by `read_logger_file`.
     """
-    steps = [b - a for a, b in pairwise(clock)]
+    steps = [later - earlier for earlier, later in pairwise(clock)]
     usual = sorted(steps)[len(steps) // 2] if steps else timedelta()
     for a, step in ((a, step) for a, step in zip(clock, steps, strict=False) if step > usual):
         before, after = (t.replace(tzinfo=zone).utcoffset() for t in (a, a + step))

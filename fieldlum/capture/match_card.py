@@ -190,7 +190,8 @@ def find_offset(
 ) -> Offset | None:
     """Return the camera's clock minus UTC, fitted to the plan.
 
-    expected_s: likely offsets, most likely first: the first that fits is used if several offsets
+    groups: the card's brackets; slots: of the plan; expected_s: likely offsets, most likely first:
+    the first that fits is used if several offsets
     fit equally well. Return None if no offset fits, or if several fit and none of them is expected.
     """
     among = fitting_offsets(groups, slots)
@@ -207,9 +208,10 @@ def find_offset(
 def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> Offset:
     """Refine the offset by the median delay, if three or more brackets start equally early or late.
 
-    Only brackets within 20 minutes of a slot count. Their delays must agree within 5 s (median
-    deviation), and the median must be 1 s or more; else the offset is returned unchanged. Such
-    brackets were started by a timer, so that their common delay is an error of the camera's clock.
+    groups, slots: as for `find_offset`. Only brackets within 20 minutes of a slot count. Their
+    delays must agree within 5 s (median deviation), and the median must be 1 s or more; else the
+    offset is returned unchanged. Such brackets were started by a timer, so that their common delay
+    is an error of the camera's clock.
     """
     late = late_s(groups, slots, offset.seconds)
     near = late[np.abs(late) <= WITHIN_S]
@@ -280,9 +282,10 @@ def clock_offset(
 ) -> Offset:
     """Return the camera's clock minus UTC: as stated, else from EXIF, else fitted to the plan.
 
-    stated_s: the offset that the user states [s], None if none. A common delay of brackets that a
-    timer started is added. Raises InputError if the fit finds no offset, or several of which none
-    is UTC or the place's civil time.
+    groups: the card's brackets in order of time; slots: of the plan; stated_s: the offset that the
+    user states [s], None if none. A common delay of brackets that a timer started is added. Raises
+    InputError if the fit finds no offset, or several of which none is UTC or the place's civil
+    time.
     """
     if stated_s is not None:
         start = Offset(stated_s, "--utc-offset")

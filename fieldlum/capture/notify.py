@@ -56,6 +56,7 @@ class _Background(ABC):
         """Do the work that is due; return the longest pause after it [s], None for no limit."""
 
     def _work(self) -> None:
+        """Do steps when they are due, and a last one after `_end`; run in the thread."""
         is_last = False
         while not is_last:
             self._due.clear()
@@ -98,6 +99,7 @@ class Outbox(_Background):
         return len(self._waiting)
 
     def _step(self) -> float | None:
+        """Send what is waiting; return the pause until the next try [s], None if nothing waits."""
         while self._waiting:
             message = self._waiting[0]
             why = self._try(message)
@@ -136,7 +138,7 @@ def read_targets(option: str, *, name: str = "--notify") -> tuple[str, ...]:
         found = "an address on the command line, where every user can see it"
         raise InputError(name, found, "@FILE", "write it into a file, and name that with an @")
     path, expected = Path(option[1:]), "a UTF-8 file with one apprise address per line"
-    kinds = OSError, UnicodeDecodeError
+    kinds = (OSError, UnicodeDecodeError)
     with input_errors(path, expected, "check the path, its permissions and encoding", *kinds):
         lines = [line.strip() for line in read_bytes(path).decode().splitlines()]
     addresses = tuple(line for line in lines if line and not line.startswith("#"))

@@ -48,6 +48,11 @@ class Keeper(Generic[D]):
         tell: Callable[..., Any],
         watchdog_s: float,
     ) -> None:
+        """Keep a device that `open_device` opens when it is first needed, and again after an error.
+
+        name: for the journal; tell: journals an event with its fields; watchdog_s: how long a
+        device may be lost before that is an error.
+        """
         self.name, self._open, self._clock = name, open_device, clock
         self._tell, self._watchdog_s = tell, watchdog_s
         self._device: D | None = None

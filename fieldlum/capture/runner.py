@@ -186,8 +186,9 @@ def refuse_unavailable_exposures(
 ) -> None:
     """Raise DeviceError for planned exposures to which the camera cannot be set.
 
-    After the first complete bracket nothing is checked: a mismatch may then be a turned dial, which
-    can be turned back. Raises NotEnoughDataError if no slot has an exposure.
+    states: of the slots, by id. After the first complete bracket nothing is checked: a mismatch may
+    then be a turned dial, which can be turned back. Raises NotEnoughDataError if no slot has an
+    exposure.
     """
     if any(state.outcome == "done" for state in states.values()):
         return
@@ -212,6 +213,7 @@ class _Runner:
     openers: Mapping[str, Callable[[], Any]]
 
     def __post_init__(self) -> None:
+        """Read plan and journal, refuse a wrong clock and a past plan, and prepare the devices."""
         session, clock, options = self.session, self.clock, self.options
         self.setup = session.site_file()
         self._plan_stamp = 0
@@ -300,6 +302,7 @@ class _Runner:
         self._show()
 
     def _bracket(self, slot: Slot, state: SlotState) -> BracketCapture:
+        """Return the bracket of a slot, which continues from its state in the journal."""
         return BracketCapture(
             session=self.session,
             setup=self.setup.camera,

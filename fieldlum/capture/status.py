@@ -79,6 +79,7 @@ def _plan(session: Session, slots: list[Slot]) -> JsonTable:
 
 
 def _capture(session: Session, slots: list[Slot], recorded: SlotStates) -> JsonTable:
+    """Return the counts of slots by outcome, and of troubles; recorded: states by the journal."""
     states = [recorded.state(slot.id) for slot in slots]
     outcomes = [state.outcome for state in states]
     to_do = slots_to_do(slots, recorded)
@@ -97,6 +98,7 @@ def _capture(session: Session, slots: list[Slot], recorded: SlotStates) -> JsonT
 
 
 def _irradiance(session: Session) -> JsonTable:
+    """Return what is logged: days, rows, the last day, and whether clean.csv exists."""
     files = day_files(session)
     rows = sum(read_bytes(path).count(b"\n") - 1 for path in files)
     return {

@@ -113,9 +113,9 @@ def command(
 
 
 def _show_end(root: Path, slots: list[SlotState]) -> None:
-    """Print the counts of brackets; raise DeviceError if most of them aborted."""
+    """Print the counts of brackets; raise DeviceError if more were aborted than done."""
     outcomes = Counter(slot.outcome for slot in slots)
-    done, missed, aborted = (outcomes[name] for name in ("done", "missed", "aborted"))
+    done, missed, aborted = outcomes["done"], outcomes["missed"], outcomes["aborted"]
     with suppress(OSError):  # the terminal may be closed by now
         click.echo(f"{root}: {done} brackets, {missed} missed, {aborted} aborted")
     if aborted:
@@ -143,6 +143,7 @@ def panel(live: Live, site: Site) -> RenderableType:
 
 
 def _rows(live: Live, zone: ZoneInfo) -> dict[str, str]:
+    """Return the rows of the panel, by name; zone: of the times."""
     from fieldlum.core.records import parse_utc
 
     upcoming = "none"

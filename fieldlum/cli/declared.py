@@ -39,6 +39,7 @@ class _LocalPath(click.Path):
     """
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return a path of this computer; refuse an empty text and a URL."""
         if value == "":  # as of an empty variable of the shell; Path would be the current folder
             self.fail("an empty text; expected a path", param, ctx)
         if "://" in str(value):
@@ -90,7 +91,12 @@ FILE_PATH = _LocalPath(path_type=Path, dir_okay=False)
 def declare(
     function: Callable[..., Any], name: str, shared: Mapping[str, click.Parameter]
 ) -> click.Command:
-    """Return the command of a function; shared : options by the name of their parameter."""
+    """Return the command of a function; shared : options by the name of their parameter.
+
+    The function's docstring is the help; below its line "Options:" is an entry for each option. A
+    parameter without an entry and without a text of its own in its type is a shared option, if one
+    has its name.
+    """
     text, _, options = inspect.cleandoc(function.__doc__ or "").partition("\n\nOptions:\n")
     lines = re.sub(r"\n {4,}", " ", options).splitlines()
     entries = [entry for line in lines if (entry := _ENTRY.fullmatch(line.strip()))]

@@ -115,6 +115,7 @@ def csv_rows(answer: JsonTable) -> list[dict[str, object]]:
 
 
 def _lines(answer: JsonTable) -> Iterator[str]:
+    """Yield the lines that the terminal shows of an answer of `glare --json`."""
     from fieldlum.session.panorama_sun import SUN_FROM
 
     yield answer["file"]

@@ -31,6 +31,10 @@ def _utc_offset(text: str) -> float:
 
 
 def _column(text: str) -> tuple[str, str]:
+    """Return quantity and column name of a text such as "ghi_wm2=SlrW_Avg".
+
+    Raises ValueError for another text.
+    """
     from fieldlum.devices.logger_files import QUANTITIES
 
     quantity, _, name = text.partition("=")
@@ -104,6 +108,7 @@ def command(
 
 
 def _summary(report: Report) -> list[str]:
+    """Return the lines that the terminal shows of an import of a card."""
     from statistics import median
 
     from fieldlum.capture.match_card import offset_text, offsets_text

@@ -120,6 +120,7 @@ def _radiance(path: Path) -> Facts:
 
 
 def _toml(path: Path) -> Facts:
+    """Return the keys of a TOML file of fieldlum, which must be valid, and its kind."""
     from fieldlum.core.strict_toml import build, read_toml
     from fieldlum.devices.ascii_lines import load_ascii_profile
     from fieldlum.devices.modbus import load_register_profile
@@ -166,6 +167,7 @@ def _jpeg(path: Path) -> Facts:
 
 
 def _raw(path: Path) -> Facts:
+    """Return the facts of a raw frame."""
     from fieldlum.optics.raw import read_mosaic
     from fieldlum.session import exposure_text
 
@@ -183,6 +185,7 @@ def _raw(path: Path) -> Facts:
 
 
 def _folder(path: Path) -> Facts:
+    """Return the facts of a session, a model or a predicted year by its folder."""
     from fieldlum.session.codec import read_object
     from fieldlum.session.files.model_files import ModelConfig
 

@@ -87,6 +87,7 @@ class Dialogue:
         """
 
         def checked(text: str) -> T:
+            """Return the value of an answer, and store the answer; a wrong one is asked again."""
             try:
                 value = reader(text.strip())
             except (InputError, ValueError) as error:
@@ -144,6 +145,7 @@ def _azimuths(text: str) -> tuple[float, ...]:
 
 
 def _site(dialogue: Dialogue) -> Site:
+    """Ask for the place until its coordinates and time zone agree."""
     from zoneinfo import available_timezones
 
     from fieldlum.session.site_toml import site_from_table, wrong_sign_text
@@ -176,6 +178,7 @@ def _site(dialogue: Dialogue) -> Site:
 
 
 def _camera(dialogue: Dialogue) -> CameraSetup:
+    """Ask for the camera: its profile, heading and height, and headings to which it is turned."""
     from fieldlum.optics.profiles import camera_names, load_camera_profile
 
     names = camera_names()
@@ -184,6 +187,7 @@ def _camera(dialogue: Dialogue) -> CameraSetup:
     click.echo("Another camera: fieldlum new CAMERA.toml --camera SIMILAR --photo FRAME")
 
     def profile(text: str) -> str:
+        """Return name or path of the profile that an answer means; "" for none."""
         if text.lower() in ("none", "none yet"):
             return ""
         if text.isdigit() and 0 < int(text) <= len(names):
@@ -273,9 +277,11 @@ def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
 
 
 def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
-    """Return a profile with size, model, aperture and megabytes of a frame, and a raw one's levels.
+    """Return a profile with the size, model, aperture and megabytes of a frame of another camera.
 
-    Image circles are scaled with the height. The levels are printed.
+    From a raw frame it gets white level and colour filters too, and black and white level are
+    printed. Image circles are scaled with the height. Raises InputError for a frame of another
+    kind.
     """
     from fieldlum.optics.profiles import Sensor
     from fieldlum.optics.raw import is_jpeg, jpeg_size, read_exif, read_mosaic
@@ -296,12 +302,12 @@ def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
         height, width = mosaic.counts.shape
         sensor = Sensor(cfa=mosaic.cfa, white_dn=mosaic.white_dn, iso=iso)
         click.echo(f"black level {mosaic.black_dn[0]:g} DN, white level {mosaic.white_dn:g} DN")
-    by, across = height / before.height_px, width / before.width_px
+    higher, wider = height / before.height_px, width / before.width_px
 
     def scaled(lens: Lens) -> Lens:
-        centre_px = (lens.centre_px[0] * across, lens.centre_px[1] * by)
-        rings = tuple(replace(v, f_number=f_number) for v in lens.vignetting)
-        return replace(lens, centre_px=centre_px, radius_px=lens.radius_px * by, vignetting=rings)
+        centre = (lens.centre_px[0] * wider, lens.centre_px[1] * higher)
+        rings = tuple(replace(ring, f_number=f_number) for ring in lens.vignetting)
+        return replace(lens, centre_px=centre, radius_px=lens.radius_px * higher, vignetting=rings)
 
     name = f"{info.model or 'unnamed camera'}, started from {before.name}"
     megabytes = round(photo.stat().st_size / 1e6, 1)

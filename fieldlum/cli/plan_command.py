@@ -57,7 +57,7 @@ def command(
     from fieldlum.weather import read_weather
 
     day = start.date() if start else None
-    dates = out, day, year, days, count
+    dates = (out, day, year, days, count)
     example = "for example: fieldlum plan SITE.toml --set 9-day --out my-session"
     wrong = {
         "--replan works on a session, with its dates: omit --set, --out, --start, --year, --days "

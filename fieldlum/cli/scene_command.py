@@ -80,6 +80,7 @@ def answer_of(scene: Scene) -> JsonTable:
 
 
 def _lines(scene: Scene) -> list[str]:
+    """Return the lines that the terminal shows of a fitted scene."""
     rows = [
         {"name": name, "stated": scene.before[name], "fitted": value, "u": scene.u[name]}
         for name, value in scene.after.items()

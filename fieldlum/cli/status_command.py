@@ -36,6 +36,7 @@ def command(
 
 
 def _lines(s: JsonTable) -> list[str]:
+    """Return the lines that the terminal shows of an answer `s` of `status --json`."""
     from fieldlum.core.records import counted
     from fieldlum.session.journal import damage_text
 

@@ -141,11 +141,12 @@ def _progress_lines(label: str) -> Progress:
     first: tuple[int, float] | None = None  # finished first, and when: the start-up is not repeated
 
     def show(finished: int, total: int, text: str) -> None:
+        """Print a line when it is due, with the remaining time unless work began again."""
         nonlocal due_s, before, repeats, first
         spent_s, share = time.monotonic() - started, finished / max(total, 1)
         repeats, before = repeats or share < before, share
         if finished > 0 and first is None:
-            first = finished, spent_s
+            first = (finished, spent_s)
         if spent_s < due_s or total <= 0:
             return
         due_s = spent_s + LINE_EVERY_S

@@ -45,13 +45,16 @@ def cover_state(text: str) -> str:
 
 
 def _values(text: str) -> dict[str, str]:
-    """Return the value of each word in a state."""
+    """Return the value of each word in a state such as "blind=half; lamp=on".
+
+    Raises ValueError for an unknown word or value, and for a word that is stated twice.
+    """
     values: dict[str, str] = {}
     for part in filter(None, (piece.strip() for piece in text.split(";"))):
         word, _, value = (piece.strip() for piece in part.partition("="))
         if word not in KNOWN or value not in KNOWN[word] or word in values:
-            near = did_you_mean(part, (f"{w}={v}" for w, of in KNOWN.items() for v in of))
-            raise ValueError(f"'{part}' is not a state of a room{near}")
+            states = (f"{name}={known}" for name, options in KNOWN.items() for known in options)
+            raise ValueError(f"'{part}' is not a state of a room{did_you_mean(part, states)}")
         values[word] = value
     return values
 

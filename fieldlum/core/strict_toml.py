@@ -87,7 +87,7 @@ def build(cls: type[T], table: TomlTable, where: str, *, strict: bool = True) ->
     """
     keys = typing.get_type_hints(cls)
     for key in (key for key in _KINDS if key in table and key not in keys):
-        own = f"a file with the tables {', '.join(sorted(keys))}", "name another file"
+        own = (f"a file with the tables {', '.join(sorted(keys))}", "name another file")
         expected, remedy = next((kind for name, kind in _KINDS.items() if name in keys), own)
         raise InputError(where, _KINDS[key][0], expected, remedy)
     _refuse(cls, table, where)
@@ -96,7 +96,10 @@ def build(cls: type[T], table: TomlTable, where: str, *, strict: bool = True) ->
 
 
 def _refuse(hint: Any, value: Any, where: str) -> None:
-    """Raise InputError for an unknown key, or a number that is not finite, at any depth."""
+    """Raise InputError for an unknown key, or a number that is not finite, at any depth.
+
+    hint: the type that the value must have; where: the file and the place in it, for the error.
+    """
     if isinstance(value, float) and not math.isfinite(value):
         raise InputError(where, f"the value {value}", "a finite number", "correct the value")
     for part in (hint, *(typing.get_args(hint) if isinstance(value, str) else ())):

@@ -236,6 +236,11 @@ PYRANOMETERS = {"sim": "simulated", "serial": "ascii_lines", "modbus": "modbus"}
 
 
 def _open(text: str, table: dict[str, str], what: str, **arguments: Any) -> Any:
+    """Open a device by the driver of its URI's scheme.
+
+    text: the URI; table: module by scheme; what: "camera", "pyranometer" or "meter", as in the name
+    of the driver's function `open_camera`. Raises DeviceError for an unknown scheme.
+    """
     uri = parse_uri(text)
     if uri.scheme not in table:
         expected = f"expected one of {', '.join(sorted(table))}"

@@ -171,6 +171,11 @@ def _by_keys(profile: AsciiProfile, text: str) -> Mapping[str, object]:
 
 
 def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
+    """Return the values of a line by key, numbers as text.
+
+    Raises DeviceError for no JSON object.
+    """
+
     def once(pairs: list[tuple[str, object]]) -> dict[str, object]:
         if len(dict(pairs)) < len(pairs):
             raise ValueError("a key occurs twice")
@@ -262,6 +267,7 @@ class LineInstrument(Pyranometer):
     def __init__(
         self, place: str, profile: AsciiProfile, clock: Clock, *, silence_s: float = SILENCE_S
     ) -> None:
+        """Open the port; silence_s: without a valid line for so long, reading is an error."""
         p = profile
         self._profile, self._clock, self._silence_s = profile, clock, silence_s
         self._port = SerialPort(place, p.line, timeout_s=0.05)  # sets how often it is polled
@@ -310,6 +316,10 @@ class LineInstrument(Pyranometer):
         return line.decode("ascii").strip(), values
 
     def _reading(self, valid: Sequence[tuple[str, dict[str, float]]]) -> IrradianceSample:
+        """Return the last line's values, or the medians of some lines that are near in time.
+
+        valid: text and values of each line since the last reading.
+        """
         now = self._clock.boottime()
         apart_s = (now - self._last_read_s) / len(valid)
         self._last_read_s = now

@@ -142,6 +142,7 @@ class FramedMeter(IlluminanceMeter):
         parity: _Parity = "E",
         head: int | None = None,
     ) -> None:
+        """Open the port and prepare the meter; head: number of a T-10A's head, None: a CL-200A."""
         self._sleep, self._head = sleep, head
         line = SerialLine(bits=7 if parity == "E" else 8, parity=parity)
         self._port = SerialPort(place, line, timeout_s=1.5)
@@ -169,6 +170,7 @@ class FramedMeter(IlluminanceMeter):
         return retry(self._measure, lambda error: isinstance(error, NotReady))
 
     def _measure(self) -> float:
+        """Measure once and return the illuminance [lx]."""
         if self._head is None:
             self._port.drain()
             self._port.write(frame(MEASURE))
@@ -178,6 +180,7 @@ class FramedMeter(IlluminanceMeter):
         return parse_t10_answer(self._answer(b"%02d" % self._head + READ_T10), self._head)
 
     def _answer(self, command: bytes) -> bytes:
+        """Send a command and return the framed answer; raise DeviceError without a valid one."""
         self._port.drain()
         self._port.write(frame(command))
         reply = self._port.read_until(b"\r\n", 128)

@@ -75,6 +75,10 @@ class GphotoCamera(Camera):
     def __init__(
         self, serve: Serve, model: str = "", *, delete: bool = False, readout_s: float = PATIENCE_S
     ) -> None:
+        """Open the first camera whose name contains `model`, in a child process that runs `serve`.
+
+        delete: delete pictures on the card after copying; readout_s: time limit of one readout.
+        """
         self._child = Child("gphoto", serve)
         self._delete, self._readout_s = delete, readout_s
         with closed_on_error(self):
@@ -271,6 +275,7 @@ class _Driver:
         return ""
 
     def _settings(self) -> dict[str, tuple[str, list[str]]]:
+        """Return the widget and its choices by role, for those that a computer can set."""
         settings: dict[str, tuple[str, list[str]]] = {}
         for role, names in _WIDGETS.items():
             for name in reversed(names):

@@ -126,7 +126,7 @@ def read_logger_file(
     start = b""
     with suppress(OSError), open_to_read(path) as file:
         start = file.read(len(_NETCDF))
-    request = utc_offset, columns or {}, sensitivities or {}
+    request = (utc_offset, columns or {}, sensitivities or {})
     if start == _NETCDF:
         logger_file = _read(path, _netcdf(path), *request)
     else:
@@ -147,9 +147,12 @@ def read_logger_file(
 
 
 def _check_readable(path: Path, logger_file: LoggerFile) -> None:
-    """Raise InputError for decimal commas, and for fewer readable than damaged rows."""
+    """Raise InputError for decimal commas, and for fewer readable than damaged rows.
+
+    logger_file: what was read, with a text on each row that was not.
+    """
     count, left_out = len(logger_file.samples), logger_file.left_out
-    marks = strict_csv.COMMAS, strict_csv.THOUSANDS, strict_csv.POINTS
+    marks = (strict_csv.COMMAS, strict_csv.THOUSANDS, strict_csv.POINTS)
     commas = [t for t in left_out if t.endswith(marks) or _COMMA.search(t)]
     if len(commas) > 1:
         has_thousands = commas[0].endswith(marks[1:])
@@ -307,14 +310,14 @@ def _netcdf(path: Path) -> _Table:
 def _called_bad(stored: Any, name: str) -> Mask:
     """Return which values of a variable along the time the netCDF file itself calls bad, [times].
 
-    Those outside valid_range or valid_min and valid_max (CF conventions 1.11, 2.5.1), and those
-    with a flag of a bad meaning (CF 3.5) or assessment (ARM's standard for data). An instrument's
-    offset at night, down to -10 W/m2, is not bad because it is below 0.
+    stored: the open dataset. Those outside valid_range or valid_min and valid_max (CF conventions
+    1.11, 2.5.1), and those with a flag of a bad meaning (CF 3.5) or assessment (ARM's standard for
+    data). An instrument's offset at night, down to -10 W/m2, is not bad because it is below 0.
     """
-    own = stored[name]
-    about: Mapping[str, Any] = own.attrs
-    if own.dtype.kind not in "iuf":
-        return np.zeros(own.shape, bool)
+    data = stored[name]
+    about: Mapping[str, Any] = data.attrs
+    if data.dtype.kind not in "iuf":
+        return np.zeros(data.shape, bool)
     scale, offset = about.get("scale_factor", 1.0), about.get("add_offset", 0.0)
 
     def in_unit(limit: Any) -> float:
@@ -325,11 +328,11 @@ def _called_bad(stored: Any, name: str) -> Mask:
 
     span = np.ravel(about.get("valid_range", (-math.inf, math.inf)))
     least, most = about.get("valid_min", span[0]), about.get("valid_max", span[-1])
-    low, high = (in_unit(np.ravel(limit)[0]) for limit in (least, most))
-    values = own.to_numpy() * scale + offset
+    low, high = in_unit(np.ravel(least)[0]), in_unit(np.ravel(most)[0])
+    values = data.to_numpy() * scale + offset
     bad = (values > high) | (values < min(low, strict_csv.IRRADIANCE_LIMITS_WM2[0]))
     for flag in (f"qc_{name}", *str(about.get("ancillary_variables", "")).split()):
-        if flag in stored and stored[flag].dims == own.dims and stored[flag].dtype.kind in "iu":
+        if flag in stored and stored[flag].dims == data.dims and stored[flag].dtype.kind in "iu":
             bits = stored[flag].to_numpy().astype(np.int64)
             for mask, value in _bad_flags(stored.attrs, stored[flag].attrs):
                 bad |= (bits & mask) == value
@@ -368,7 +371,12 @@ def _read(
     asked: Mapping[str, str],
     sensitivities: Mapping[str, float],
 ) -> LoggerFile:
-    """Return the samples of a table, and a text on each line that was not read."""
+    """Return the samples of a table, and a text on each line that was not read.
+
+    utc_offset: the clock minus UTC, None if it is not stated; asked: column name by quantity;
+    sensitivities: of a voltage, by quantity, uV per W/m2. Raises InputError for a file whose
+    columns, times or units are unclear.
+    """
     names = table.names
     if len(table.lines) > _MAX_ROWS:
         expected = f"at most {_MAX_ROWS:,} rows"
@@ -444,7 +452,7 @@ def _has_decimal_commas(table: _Table, columns: Iterable[int]) -> bool:
 def _columns(path: Path, table: _Table, asked: Mapping[str, str]) -> dict[str, int]:
     """Return the column index of each quantity: as asked, by its own, or by a usual name.
 
-    Raises InputError for a column that is missing or ambiguous.
+    asked: column name by quantity. Raises InputError for a column that is missing or ambiguous.
     """
     names, at = [name.lower() for name in table.names], dict[str, int]()
     all_names = ", ".join(table.names)[:120]
@@ -478,7 +486,8 @@ def _factors(
 ) -> tuple[dict[str, float], list[str]]:
     """Return W/m2 in a unit of each column of voltage, and notes on the columns.
 
-    Raises InputError for a column in another unit, a voltage without sensitivity and a sensitivity
+    at: the column index of each quantity; sensitivities: in uV per W/m2, by quantity. Raises
+    InputError for a column in another unit, a voltage without sensitivity and a sensitivity
     without a voltage.
     """
     factor: dict[str, float] = {}
@@ -541,6 +550,10 @@ class _Clock:
     """
 
     def __init__(self, path: Path, table: _Table, utc_offset: timedelta | None) -> None:
+        """Find the columns of the time, and its zone: stated in a heading, or as `utc_offset`.
+
+        Raises InputError for a table without a column of times.
+        """
         names = [name.lower().replace(" ", "") for name in table.names]
         self._path, self._utc_offset, self._names = path, utc_offset, table.names
         self._before: datetime | None = None
@@ -548,7 +561,7 @@ class _Clock:
         zones = [_NAME_ZONE.search(name) for name in names]
         kinds = list(map(_kind_of_time, names))
         stamps, dates, hours = (
-            [k for k, own in enumerate(kinds) if own == kind] for kind in _TIMES
+            [k for k, kind in enumerate(kinds) if kind == wanted] for wanted in _TIMES
         )
         others = [[dates[0], hours[0]]] if dates and hours else [[k] for k in (*dates, *hours)]
         unnamed = [[0]] if not names[0] else []  # the index of a table, as pandas writes it
@@ -621,9 +634,10 @@ class _Clock:
         raise InputError(self._path, f"{found}, {cause}", "one clock in all rows", remedy)
 
     def _date_order(self, table: _Table) -> tuple[int, int, int]:
-        """Return the places of year, month and day in dates such as 13/12/2015, from 1.
+        """Return the groups of year, month and day in `_DAY_OR_MONTH_FIRST`, for 13/12/2015.
 
-        With two digits the year could be first too, except if the second number is above 12.
+        With two digits the year could be first too, except if the second number is above 12. Raises
+        InputError for dates whose order is unclear.
         """
         dates: list[re.Match[str]] = []
         for count, (_, line) in enumerate(table.lines):

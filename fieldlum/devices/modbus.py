@@ -133,9 +133,9 @@ class Decoded:
 def read_profile(cls: type[T], name: str, folder: Path, what: str, option: str) -> tuple[T, Path]:
     """Return the profile of an instrument and its file: a shipped one by name, others by path.
 
-    A path ends in .toml. folder: of the shipped profiles; what, option: the kind of profile and the
-    URI's option, for the DeviceError of an unknown name or a missing file. Raises InputError for a
-    broken profile.
+    A path ends in .toml. cls: the record of the profile; folder: of the shipped profiles; what,
+    option: the kind of profile and the URI's option, for the DeviceError of an unknown name or a
+    missing file. Raises InputError for a broken profile.
     """
     path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
     if not path.is_file():
@@ -257,6 +257,7 @@ class ModbusPyranometer(Pyranometer):
     def __init__(
         self, bus: tuple[Any, str], profile: RegisterProfile, units: Mapping[str, int], clock: Clock
     ) -> None:
+        """Ask each unit what it is; bus: the connection and its name; units: number by quantity."""
         self._profile, self._units, self._clock = profile, units, clock
         self._client, self.name = bus
         blocks = profile.at_open + profile.poll
@@ -266,7 +267,7 @@ class ModbusPyranometer(Pyranometer):
         def texts(name: str) -> list[str]:
             return [text for d in about if (text := d.texts.get(name))]
 
-        names = "model", "serial", "firmware", "sensitivity"
+        names = ("model", "serial", "firmware", "sensitivity")
         what: dict[str, Any] = {name: " + ".join(texts(name)) for name in names}
         what["model"] = what["model"] or f"{profile.maker} {profile.models[0]}"
         what["calibration_date"] = min(texts("calibration_date"), default="")
@@ -355,7 +356,7 @@ def open_pyranometer(
         example = "modbus:/dev/ttyUSB0?kind=smp&unit=1"
         raise DeviceError(f"{uri.text}: expected a port and a kind, such as {example}")
     profile = load_register_profile(options.kind)
-    addresses = options.unit or profile.line.unit, options.dhi_unit, options.dni_unit
+    addresses = (options.unit or profile.line.unit, options.dhi_unit, options.dni_unit)
     units = {what: u for what, u in zip(("ghi", "dhi", "dni"), addresses, strict=True) if u}
     if "ghi" not in units:
         why = f"no unit number, and {profile.kind} has no default"

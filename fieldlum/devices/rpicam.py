@@ -92,6 +92,10 @@ class RpicamCamera(Camera):
     """
 
     def __init__(self, place: str, f_number: float, *, program: str = PROGRAM) -> None:
+        """Find the camera; place: its number as a text, "" for 0; f_number: of its lens.
+
+        Raises DeviceError for a number that rpicam-still does not list.
+        """
         self._program, self._f_number, self._start_s = program, f_number, START_S
         if not (place == "" or place.isdigit()):
             raise DeviceError(f"rpicam:{place}: name the camera by its number, such as rpicam:0")

@@ -81,11 +81,12 @@ class SerialPort:
     """
 
     def __init__(self, place: str, line: SerialLine, *, timeout_s: float) -> None:
+        """Open a port alone; place: what `resolve` resolves. Raises DeviceError, with the ports."""
         import serial
 
         self.name = resolve(place)
         how: dict[str, Any] = {"timeout": timeout_s, "write_timeout": timeout_s, "exclusive": True}
-        settings = line.baud, line.bits, line.parity, line.stop
+        settings = (line.baud, line.bits, line.parity, line.stop)
         try:
             with device_errors(self.name):
                 self.port: Any = serial.Serial(self.name, *settings, **how)

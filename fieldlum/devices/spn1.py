@@ -120,6 +120,7 @@ class Spn1(Pyranometer):
     def __init__(
         self, place: str, clock: Clock, *, baud: int = 9600, timeout_s: float = 2.0
     ) -> None:
+        """Open the port, wake the instrument and ask what it is; place: the port."""
         self._clock = clock
         self._port = SerialPort(place, SerialLine(baud), timeout_s=timeout_s)
         with closed_on_error(self):
@@ -141,6 +142,7 @@ class Spn1(Pyranometer):
         return agreed_sample(self._clock.now(), self._ask_reading)
 
     def _ask_reading(self) -> bytes:
+        """Wake the instrument and return its reading; raise DeviceError without an answer."""
         self._wake()
         self._port.write(b"S")
         reply = self._port.read_until(b"\r", 64)

@@ -43,6 +43,10 @@ class ThetaCamera(Camera):
     def __init__(
         self, address: str, clock: Clock, *, delete: bool = False, timeout_s: float = 10.0
     ) -> None:
+        """Connect to the camera at `address`, and set it to manual exposure.
+
+        delete: delete pictures on the camera after copying; timeout_s: of an answer.
+        """
         self._address, self._clock = address.rstrip("/"), clock
         self._delete, self._timeout_s = delete, timeout_s
         about, state = self._ask("/osc/info"), self._ask("/osc/state", {}).get("state", {})
@@ -138,7 +142,8 @@ class ThetaCamera(Camera):
     def _command(self, name: str, parameters: Mapping[str, object], patience_s: float) -> Reply:
         """Execute a command, wait until it is complete, and return its results.
 
-        Raises DeviceError if the camera reports an error or does not answer.
+        name, parameters: as in Ricoh's THETA Web API; patience_s: how long it may take. Raises
+        DeviceError if the camera reports an error or does not answer.
         """
         reply = self._ask("/osc/commands/execute", {"name": name, "parameters": parameters})
         started = self._clock.boottime()

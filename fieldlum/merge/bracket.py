@@ -100,7 +100,10 @@ def report_of(
 
 
 def _shares_percent(flags: NDArray[np.integer], target: Target) -> dict[str, Any]:
-    """Return shares of the solid angle: flagged of what a lens sees, and not seen of all, in %."""
+    """Return shares of the solid angle: flagged of what a lens sees, and not seen of all, in %.
+
+    flags [H, W]: of the result on the grid `target`.
+    """
     solid = target.solid_angles()
     seen_sr = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
     named = {
@@ -118,6 +121,7 @@ def _shares_percent(flags: NDArray[np.integer], target: Target) -> dict[str, Any
 
 
 def _frames(part: Findings) -> list[FrameQuality]:
+    """Return the frames of a heading with their fitted exposures."""
     fit = part.exposures.fit
     return [
         FrameQuality.of(
@@ -149,6 +153,7 @@ def verdict(report: MergeReport) -> str:
 
 
 def _exposure_notes(report: MergeReport) -> Iterator[str]:
+    """Yield cautions about exposures: single, not linked, contradicting or unlike the profile."""
     if len(report.frames) == 1:
         yield "a single frame: nothing confirms its exposure; take a bracket"
     elif report.residual_percent is None:
@@ -166,6 +171,7 @@ def _exposure_notes(report: MergeReport) -> Iterator[str]:
 
 
 def _camera_notes(report: MergeReport) -> Iterator[str]:
+    """Yield cautions about filters, orientation, black level, noise and turns of the camera."""
     if report.filter_absent:
         yield (
             f"{', '.join(report.filter_absent)}: as bright as without the filter of its label, and "
@@ -191,6 +197,7 @@ def _camera_notes(report: MergeReport) -> Iterator[str]:
 
 
 def _view_notes(report: MergeReport) -> Iterator[str]:
+    """Yield cautions about parts of the view that are clipped, in motion or below noise."""
     if clipped := report.clipped_percent:
         yield (
             f"clipped in every frame: {clipped:.3g} % of the view: add shorter exposures, unless "
@@ -302,15 +309,16 @@ def _measured_sun(
 ) -> MeasuredSun | None:
     """Return the disc's centre, measured on the sensor pixels, and the time of those frames.
 
-    The centre comes from the frames taken through a filter. Without a filter it comes from the
-    least exposed frame of each heading.
+    images, findings: merged sensor and findings of each heading; disc: as found in `panorama`; None
+    if no lens sees it. The centre comes from the frames taken through a filter. Without a filter it
+    comes from the least exposed frame of each heading.
     """
     place = sun_on_sensor(images, disc, panorama)
     if place is None:
         return None
     filtered = [s for part in findings for s in part.shots if s.exposure.nd]
-    through = panorama.sun is not None and panorama.sun.origin == MEASURED
-    shown = filtered if through else [part.shots[-1] for part in findings]
+    through_filter = panorama.sun is not None and panorama.sun.origin == MEASURED
+    shown = filtered if through_filter else [part.shots[-1] for part in findings]
     times = [s.t_utc.timestamp() for s in shown if s.t_utc is not None]
     t_utc = datetime.fromtimestamp(float(np.mean(times)), UTC) if times else None
     altitude, azimuth, sigma_deg = place

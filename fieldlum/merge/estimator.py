@@ -122,6 +122,7 @@ def _predicted(rows: Sequence[Rows]) -> Floats32:
 
 
 def _weight(row: Rows, predicted: Floats32) -> Floats32:
+    """Return the weight of a frame's counts in the mean, 0 where full; predicted: cd/m2."""
     weight = row.signal.weight(predicted)
     if row.full is not None:
         weight[row.full] = 0.0
@@ -131,7 +132,12 @@ def _weight(row: Rows, predicted: Floats32) -> Floats32:
 def _flag_motion(
     rows: Sequence[Rows], weights: Sequence[Floats32], merged: Merged, u_ratio: float
 ) -> None:
-    """Flag pixels whose frames disagree: they make the mean at least this uncertain."""
+    """Flag pixels whose frames disagree: they make the mean at least this uncertain.
+
+    rows: the same pixels of each frame; weights: of each frame's counts in the mean, 0 if unused;
+    merged: changed in place; u_ratio: relative standard uncertainty of an exposure ratio. chi2 is
+    compared with its expectation (freedom), to which errors of the ratios add.
+    """
     informed = merged.variance > 0
     mean = np.where(informed, merged.value_cdm2, 0.0)
     chi2 = np.zeros_like(mean)
@@ -155,7 +161,9 @@ def _fill_lost(
 ) -> None:
     """Fill the pixels that no frame could measure.
 
-    They get the value of the most exposed readable frame, else a lower bound.
+    They get the value of the most exposed readable frame, else a lower bound. rows: frames from the
+    most to the least exposed; value [cd/m2], variance, flags: changed in place, value NaN where
+    lost.
     """
     lost = ~np.isfinite(value)
     if not lost.any():
@@ -163,15 +171,16 @@ def _fill_lost(
     bound = np.zeros_like(value)
     for row in rows:
         signal = row.signal
-        per, largest = (np.broadcast_to(v, value.shape) for v in (signal.per_cdm2, signal.max_cdm2))
+        per_cdm2 = np.broadcast_to(signal.per_cdm2, value.shape)
+        largest_cdm2 = np.broadcast_to(signal.max_cdm2, value.shape)
         readable, spread = signal.readable(row.counts)
         # noise of a fifth: darker frames do not fill pixels that other frames lost
-        own = lost & readable & (row.counts > 5.0 * np.sqrt(spread))
-        value[own] = (row.counts / per)[own]
-        variance[own] = (spread / per**2)[own]
-        flags[own] |= np.uint8(Flag.BLOOM)
-        lost &= ~own
+        filled = lost & readable & (row.counts > 5.0 * np.sqrt(spread))
+        value[filled] = (row.counts / per_cdm2)[filled]
+        variance[filled] = (spread / per_cdm2**2)[filled]
+        flags[filled] |= np.uint8(Flag.BLOOM)
+        lost &= ~filled
         full = lost & ~readable
-        bound[full] = np.maximum(bound, largest)[full]
+        bound[full] = np.maximum(bound, largest_cdm2)[full]
     value[lost], variance[lost] = bound[lost], bound[lost] ** 2
     flags[lost] |= np.uint8(Flag.CLIPPED_HIGH)

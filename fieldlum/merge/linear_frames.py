@@ -313,7 +313,8 @@ class JpegSignal:
     def _tables(self) -> tuple[Floats32, Floats32]:
         """Variance of z, and weight of a predicted z, at equal steps of z, [3 steps].
 
-        The tables of the three colours follow each other in one array.
+        z is the linear signal of a code, and a code's noise is constant. The tables of the three
+        colours follow each other in one array.
         """
         z = (np.arange(_Z_STEPS) + 0.5) / _Z_STEPS * _Z_TOP
         variance, weight = np.empty((3, _Z_STEPS), np.float32), np.empty((3, _Z_STEPS), np.float32)

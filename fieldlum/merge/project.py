@@ -77,9 +77,9 @@ def _samples(
 ) -> _Samples:
     """Return the samples of the target's rows from the first to before the last.
 
-    sub : samples down a pixel; near the poles meridians converge, and fewer across suffice.
-    margin_px : distance from the circle and from the sensor's edge that keeps all four neighbours
-    of a sample inside.
+    rows : these two; sub : samples down a pixel; near the poles meridians converge, and fewer
+    across suffice. margin_px : distance from the circle and from the sensor's edge that keeps all
+    four neighbours of a sample inside.
     """
     (first, last), width, across = rows, target.shape[1], sub
     # Samples along an edge are a multiple of the edge's cells, which are at most half a degree
@@ -94,18 +94,18 @@ def _samples(
     along = (np.arange(width * across) + 0.5) / across
     x, y, angle = lens_pixels(lens, target.rays(down, along))
     weight = target.weight(down, along)
-    high, wide = sensor_shape
     reach = np.hypot(x - lens.centre_px[0], y - lens.centre_px[1])
     # Some polynomials fall again beyond the edge: the angle leaves their mirror image out.
     seen = (weight > 0) & (reach <= lens.radius_px - margin_px) & (angle <= lens.half_angle_rad)
-    seen &= (x >= margin_px) & (y >= margin_px) & (x < wide - margin_px) & (y < high - margin_px)
+    seen &= (x >= margin_px) & (x < sensor_shape[1] - margin_px)
+    seen &= (y >= margin_px) & (y < sensor_shape[0] - margin_px)
     at = np.flatnonzero(seen)
-    i, j = np.divmod(at, width * across)
-    pixel, pixels = np.asarray(i // sub * width + j // across), (last - first) * width
-    own = weight.ravel()[at]
-    total = np.bincount(pixel, own, pixels)
+    row, column = np.divmod(at, width * across)
+    pixel, pixels = np.asarray(row // sub * width + column // across), (last - first) * width
+    seen_weight = weight.ravel()[at]
+    total = np.bincount(pixel, seen_weight, pixels)
     full = weight.reshape(last - first, sub, width, across).sum(axis=(1, 3)).ravel()
-    share = own / total[pixel]
+    share = seen_weight / total[pixel]
     return _Samples(
         pixel,
         x=x.ravel()[at],
@@ -117,7 +117,11 @@ def _samples(
 
 
 def _matrix(samples: _Samples, lattice: _Lattice, sensor_shape: tuple[int, int]) -> Any:
-    """Return the matrix of one colour: samples distributed bilinearly over four pixels."""
+    """Return the matrix of one colour: samples distributed bilinearly over four pixels.
+
+    lattice: of the colour's pixels, by `_lattice`; sensor_shape: rows and columns. The matrix is
+    CSR [target pixels, sensor pixels]; a sample is p steps right and q steps down from the origin.
+    """
     from scipy import sparse
 
     origin, right, down = lattice
@@ -126,16 +130,17 @@ def _matrix(samples: _Samples, lattice: _Lattice, sensor_shape: tuple[int, int])
         p, q = (x + y) / 2.0, (x - y) / 2.0
     else:
         p, q = x / right[1], y / down[0]
-    i, j = np.floor(p).astype(np.int32), np.floor(q).astype(np.int32)
-    p, q = p - i, q - j
+    first_p, first_q = np.floor(p).astype(np.int32), np.floor(q).astype(np.int32)
+    share_p, share_q = p - first_p, q - first_q
     values, columns = [], []
-    for a, of_p in ((0, 1.0 - p), (1, p)):
-        for b, of_q in ((0, 1.0 - q), (1, q)):
-            row, column = (o + (i + a) * r + (j + b) * d for o, r, d in zip(*lattice, strict=True))
-            values.append((samples.share * of_p * of_q).astype(np.float32))
+    for at_p, weight_p in ((first_p, 1.0 - share_p), (first_p + 1, share_p)):
+        for at_q, weight_q in ((first_q, 1.0 - share_q), (first_q + 1, share_q)):
+            row = origin[0] + at_p * right[0] + at_q * down[0]
+            column = origin[1] + at_p * right[1] + at_q * down[1]
+            values.append((samples.share * weight_p * weight_q).astype(np.float32))
             columns.append(row * sensor_shape[1] + column)
-    shape = len(samples.coverage), sensor_shape[0] * sensor_shape[1]
-    places = np.tile(samples.pixel.astype(np.int32), 4), np.concatenate(columns)
+    shape = (len(samples.coverage), sensor_shape[0] * sensor_shape[1])
+    places = (np.tile(samples.pixel.astype(np.int32), 4), np.concatenate(columns))
     return sparse.coo_array((np.concatenate(values), places), shape).tocsr()
 
 
@@ -170,7 +175,7 @@ def resampler(
     parts: dict[str, list[Any]] = {colour: [] for colour in sorted(set(cfa)) or [""]}
     seen = []
     for first in range(0, height, step):
-        rows = first, min(first + step, height)
+        rows = (first, min(first + step, height))
         samples = _samples(target, lens, sensor_shape, rows, sub, 1.5 if cfa else 0.75)
         seen.append((samples.coverage, samples.angle_rad))
         for colour, blocks in parts.items():
@@ -232,11 +237,12 @@ class LensView(ProjectedImage):
 def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray[np.uint8]]:
     """Return camera RGB [n, 3], its random variance [n, 3] and the flags [n] of one lens.
 
-    Only the sensor pixels of the matrices are read, so that a small target costs little.
+    r: the lens's matrices, by colour: one for a mosaic's each, or a single one named "". Only the
+    sensor pixels of the matrices are read, so that a small target costs little.
     """
     from scipy import sparse
 
-    m, width = sensor.merged, 3 if "" in r.matrices else 1
+    m, width = sensor.merged, 3 if "" in r.matrices else 1  # width: colours of a sensor pixel
     value, variance, of_sensor = (a.reshape(-1, width) for a in (m.value_cdm2, m.variance, m.flags))
     rgb, var = [], []
     flags = np.zeros(len(r.coverage), np.uint8)  # those of bad pixels may count, which is harmless
@@ -285,15 +291,15 @@ def view_through(
     rgb, var, flags = _project(sensor, r)
     coefficients, u_edge = vignetting_of(lens, sensor.f_number)
     angle = r.angle_rad.astype(np.float64)
-    v = vignetting_at(coefficients, angle / geometry.half_angle_rad)
+    vignetting = vignetting_at(coefficients, angle / geometry.half_angle_rad)
     worst = max(1.0 - float(vignetting_at(coefficients, 1.0)), 1e-9)
     weights = np.asarray(profile.colour.y_from_rgb)
     parts = np.maximum(rgb * weights, 0.0) + 1e-30
     u_ratio = (parts * sensor.u_curve(rgb)).sum(axis=1) / parts.sum(axis=1)
-    rgb, var = rgb / v[:, None], var / v[:, None] ** 2
+    rgb, var = rgb / vignetting[:, None], var / vignetting[:, None] ** 2
     # a lens fades out in a rim of 0.06 rad if another lens sees the same directions
     edge = np.clip((geometry.half_angle_rad - angle) / 0.06, 0.01, 1.0)
-    u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
+    u_vignetting = u_edge * np.clip((1.0 - vignetting) / worst, 0.0, 1.0)
     coverage = r.coverage.astype(np.float64)
     light = rgb @ weights
     if stray is None and profile.stray.angle_deg:
@@ -323,7 +329,7 @@ def _stray_of_lens(
 ) -> Floats:
     """Return the stray light [n] in cd/m2 that the light within a lens's field causes."""
     rays = target.rays(*(np.arange(count) + 0.5 for count in target.shape)).reshape(-1, 3)
-    kernel = np.asarray(profile.stray.angle_deg), np.asarray(profile.stray.per_sr)
+    kernel = (np.asarray(profile.stray.angle_deg), np.asarray(profile.stray.per_sr))
     seen = np.where(seen_mask, light, 0.0)
     return stray_cdm2(seen, target.solid_angles().ravel(), rays, *kernel)
 

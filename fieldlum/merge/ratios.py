@@ -113,20 +113,21 @@ def _mean_cdm2(long: Rows, short: Rows) -> Floats32:
 def _well_exposed(long: Rows, short: Rows) -> Floats32:
     """Return the n pixels that are well exposed in two frames, in columns, [6, n].
 
-    Rows: counts in the long and in the short frame, variances of both [counts^2], short over long
-    exposure, and signal-to-noise ratio in the short frame.
+    long, short: the same pixels of a longer and of a shorter exposure. Rows: counts in the long and
+    in the short frame, variances of both [counts^2], short over long exposure, and signal-to-noise
+    ratio in the short frame.
     """
     assert long.full is not None and short.full is not None  # samples state it
     mean_cdm2 = _mean_cdm2(long, short)
-    (w_long, snr_long), (w_short, snr_short) = (
-        (w := rows.signal.weight(mean_cdm2), mean_cdm2 * np.sqrt(w * rows.signal.per_cdm2))
-        for rows in (long, short)
-    )
+    weight_long, weight_short = long.signal.weight(mean_cdm2), short.signal.weight(mean_cdm2)
+    snr_long = mean_cdm2 * np.sqrt(weight_long * long.signal.per_cdm2)
+    snr_short = mean_cdm2 * np.sqrt(weight_short * short.signal.per_cdm2)
     at = (snr_long > 30.0) & (snr_short > _SNR_SHORT[-1]) & ~(long.full | short.full)
-    e_long, e_short = (np.broadcast_to(r.signal.per_cdm2, at.shape)[at] for r in (long, short))
-    variances = e_long / w_long[at], e_short / w_short[at]
-    columns = long.counts[at], short.counts[at], *variances, e_short / e_long, snr_short[at]
-    return np.array(columns, np.float32)
+    per_long = np.broadcast_to(long.signal.per_cdm2, at.shape)[at]
+    per_short = np.broadcast_to(short.signal.per_cdm2, at.shape)[at]
+    variances = (per_long / weight_long[at], per_short / weight_short[at])
+    counts = (long.counts[at], short.counts[at])
+    return np.array((*counts, *variances, per_short / per_long, snr_short[at]), np.float32)
 
 
 def bracket_pairs(samples: Sequence[Rows]) -> list[PairRatio]:

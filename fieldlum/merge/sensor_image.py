@@ -71,28 +71,33 @@ def seen_noise(samples: Sequence[Rows], correction: Floats) -> tuple[float, floa
 def _steps(long: Rows, short: Rows, correction: float) -> list[tuple[float, float, float]]:
     """Return variances of the difference of two frames [DN2], one row for each step of the signal.
 
-    A row has the shot variance and the read variance by the profile, and the measured variance. The
-    signal has at most twelve steps of at least 200 pixels each.
+    long, short: the same pixels of two raw frames; correction: fitted over nominal exposure ratio.
+    The list is empty for JPEG frames. A row has the shot variance and the read variance by the
+    profile, and the measured variance. The signal has at most twelve steps of at least 200 pixels
+    each.
     """
-    a, b = long.signal, short.signal
-    if not (isinstance(a, RawSignal) and isinstance(b, RawSignal)):
+    of_long, of_short = long.signal, short.signal
+    if not (isinstance(of_long, RawSignal) and isinstance(of_short, RawSignal)):
         return []
     at = np.flatnonzero(long.usable() & short.usable())
     at = at[:: max(1, len(at) // 12_000)]
     y_long, y_short = long.counts.ravel()[at], short.counts.ravel()[at]
-    r = correction * np.broadcast_to(b.per_cdm2 / a.per_cdm2, long.counts.shape).ravel()[at]
+    nominal = np.broadcast_to(of_short.per_cdm2 / of_long.per_cdm2, long.counts.shape)
+    ratio = correction * nominal.ravel()[at]  # of the short to the long exposure
     light = np.maximum(y_long, 0.0)
-    shot = r * light / b.gain_e_per_dn + r**2 * light / a.gain_e_per_dn
-    read = b.noise_dn2 + r**2 * a.noise_dn2
+    shot = ratio * light / of_short.gain_e_per_dn + ratio**2 * light / of_long.gain_e_per_dn
+    read = of_short.noise_dn2 + ratio**2 * of_long.noise_dn2
     # Where noise is about one count, a median of integers would jump between counts: spread the
     # counts evenly over their width first, which adds the variance of a uniform distribution.
     rounded_dn2 = 1 / 12
-    off = y_short - r * y_long + np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
+    off = y_short - ratio * y_long + np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
     steps = np.array_split(np.argsort(y_long), int(np.clip(len(at) // 200, 1, 12)))
-    large = [step for step in steps if len(step) >= 200]
-    measured = [max(robust_sigma(off[k]) ** 2 - rounded_dn2, rounded_dn2) for k in large]
-    typical = [(float(np.median(shot[k])), float(np.median(read[k]))) for k in large]
-    return [(*pair, m) for pair, m in zip(typical, measured, strict=True)]
+
+    def variances(step: Indices) -> tuple[float, float, float]:
+        measured = max(robust_sigma(off[step]) ** 2 - rounded_dn2, rounded_dn2)
+        return float(np.median(shot[step])), float(np.median(read[step])), measured
+
+    return [variances(step) for step in steps if len(step) >= 200]
 
 
 # ----------------------------------------------------------------------------------------------

@@ -90,7 +90,11 @@ def shifts(
 def _turn(
     long: ReducedFrame, short: ReducedFrame, lenses: Sequence[LensGeometry]
 ) -> tuple[float, float] | None:
-    """Return the turn between two frames [rad] and its standard error; None for too few points."""
+    """Return the turn between two frames [rad] and its standard error; None for too few points.
+
+    lenses: geometry of each lens on the sensor. The points are grouped by blocks of the picture:
+    only blocks count as independent.
+    """
     from scipy.spatial.transform import Rotation
 
     long_px, short_px = _tracked(long, short)  # [points, 2] each
@@ -99,8 +103,9 @@ def _turn(
     extent = np.array(long.seen.shape[::-1]) * long.step
     for lens in lenses:
         # the edge of a lens's image does not move with the scene
-        radii = [relative_radius(lens, *points.T) for points in (long_px, short_px)]
-        inside = np.max(radii, axis=0) < 0.97
+        long_radius = relative_radius(lens, long_px[:, 0], long_px[:, 1])
+        short_radius = relative_radius(lens, short_px[:, 0], short_px[:, 1])
+        inside = np.maximum(long_radius, short_radius) < 0.97
         rays.append(np.stack([lens_rays(lens, *p[inside].T) for p in (long_px, short_px)]))
         column, row = (long_px[inside] * _BLOCKS / extent).astype(np.intp).T
         blocks.append(row * _BLOCKS + column)
@@ -123,21 +128,24 @@ def _turn(
 
 
 def _tracked(long: ReducedFrame, short: ReducedFrame) -> tuple[Floats, Floats]:
-    """Return sensor coordinates of points in two frames, [points, 2] each."""
-    both = long.seen & short.seen
-    near = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
-    mask = cv2.erode(both.view(np.uint8), near, borderValue=0)
-    first, second = (_grey(small, both) for small in (long, short))
+    """Return sensor coordinates x, y of points in two frames, [points, 2] px each.
+
+    A point counts if tracking it to the second frame and back ends where it began.
+    """
+    seen = long.seen & short.seen
+    window_px = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
+    mask = cv2.erode(seen.view(np.uint8), window_px, borderValue=0)
+    first, second = _grey(long, seen), _grey(short, seen)
     start = cv2.goodFeaturesToTrack(first, _MAX_POINTS, 0.002, _WINDOW_PX / 2, mask=mask)
     if start is None:
         return np.empty((0, 2)), np.empty((0, 2))
     window: dict[str, Any] = {"winSize": (_WINDOW_PX, _WINDOW_PX), "maxLevel": 2}
     track: Any = cv2.calcOpticalFlowPyrLK
-    end, found, _ = track(first, second, start, None, **window)
-    back, returned, _ = track(second, first, end, None, **window)
+    end, is_tracked, _ = track(first, second, start, None, **window)
+    back, is_back, _ = track(second, first, end, None, **window)
     apart_px = np.abs(back - start).max(axis=(1, 2))
-    good = (found[:, 0] > 0) & (returned[:, 0] > 0) & (apart_px < 0.3)
-    in_long, in_short = ((points[good, 0] + 0.5) * long.step for points in (start, end))
+    good = (is_tracked[:, 0] > 0) & (is_back[:, 0] > 0) & (apart_px < 0.3)
+    in_long, in_short = (start[good, 0] + 0.5) * long.step, (end[good, 0] + 0.5) * long.step
     return in_long.astype(np.float64), in_short.astype(np.float64)
 
 

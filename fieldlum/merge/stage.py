@@ -87,9 +87,12 @@ class _MergeJob:
 
 
 def _recipe(job: _MergeJob, shots: list[Shot], t_utc: datetime, complete: bool) -> JsonTable:
-    """Return everything that a panorama depends on; equal recipes give equal pictures."""
-    own = ("sha256", "heading_deg", "exposure")
-    frames = [{"file": s.path.name} | {k: to_json(getattr(s, k)) for k in own} for s in shots]
+    """Return everything that a panorama depends on; equal recipes give equal pictures.
+
+    shots: the bracket's frames; t_utc: its time; complete: whether it has all planned frames.
+    """
+    names = ("sha256", "heading_deg", "exposure")
+    frames = [{"file": s.path.name} | {n: to_json(getattr(s, n)) for n in names} for s in shots]
     inputs = {
         "recipe": _RECIPE,
         "frames": frames,
@@ -190,7 +193,7 @@ def _with_session_facts(
 ) -> MergeResult:
     """Return the result with its illuminance and with a verdict that covers the slot as well."""
     panorama, heading_deg = result.panorama, result.panorama.heading_deg
-    place = heading_deg, heading_deg, panorama.sun
+    place = (heading_deg, heading_deg, panorama.sun)
     ahead_lx = vertical_illuminance_lx(panorama.luminance_cdm2, *place)
     facts = {"vertical_illuminance_lx": ahead_lx, "lost": tuple(lost)}
     report = structs.replace(result.report, **facts)
@@ -346,7 +349,10 @@ def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
 
 
 def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDArray[np.uint8]:
-    """Return the picture of one page, RGB [H, W, 3], with the colour scale at its foot."""
+    """Return the picture of one page, RGB [H, W, 3], with the colour scale at its foot.
+
+    sidecars: of the page's panoramas; zone: of the times below them.
+    """
     foot = -(-len(sidecars) // _PER_ROW) * _PLACE[1]
     sheet = np.full((foot + 34, _PER_ROW * _PLACE[0], 3), 255, np.uint8)
     for number, sidecar in enumerate(sidecars):
@@ -408,6 +414,7 @@ QUALITY_COLUMNS = (
 
 
 def _row(sidecar: Sidecar) -> JsonTable:
+    """Return the row of a panorama in quality.csv."""
     sun = sidecar.sun
     return {
         **structs.asdict(sidecar.report),

@@ -87,13 +87,14 @@ def _disc_near(
 ) -> SunDisc | None:
     """Return the disc within 3 degrees of the stated place; None if there is none.
 
-    A compass near steel is wrong by up to 5 degrees, so places with headings 5 degrees off are
-    searched too. There a disc must exceed 20 klx, because a facade of glass mirrors up to a fifth
-    of the sun's 100 klx.
+    clipped: pixels that are clipped in all frames [H, W]; altitude_deg, azimuth_deg: the sun's
+    apparent place, clockwise from true north. A compass near steel is wrong by up to 5 degrees, so
+    places with headings 5 degrees off are searched too. There a disc must exceed 20 klx, because a
+    facade of glass mirrors up to a fifth of the sun's 100 klx.
     """
     light, heading_deg = panorama.luminance_cdm2, panorama.heading_deg
     for turn_deg in (0.0, 5.0, -5.0):
-        near_deg = altitude_deg, (azimuth_deg + turn_deg) % 360.0
+        near_deg = (altitude_deg, (azimuth_deg + turn_deg) % 360.0)
         disc = find_disc(light, heading_deg, near_deg=near_deg, clipped=clipped)
         strong = disc is not None and np.isfinite(disc.sigma_deg) and disc.normal_lx > 20_000.0
         if disc is not None and (not turn_deg or strong):
@@ -138,6 +139,7 @@ def sun_on_sensor(
     heading_deg, pixel_rad = panorama.heading_deg, np.pi / len(panorama.luminance_cdm2)
     towards = projection.direction(disc.altitude_deg, disc.azimuth_deg - heading_deg)
     lenses = [(image, image.geometry(lens)) for image in images for lens in image.profile.lens]
+    # x, y [px] and angle from the axis [rad] of the disc in each lens
     places = [tuple(map(float, projection.lens_pixels(lens, towards))) for _, lens in lenses]
     number = int(np.argmin([angle for _, _, angle in places]))
     (image, lens), (x, y, angle) = lenses[number], places[number]
@@ -197,7 +199,7 @@ def sky_cut(
     side = max(1, int(_TILE_DEG / max(0.1, sensor_pitch_deg(views[0].sensor.profile)) + 0.1))
     rows = np.flatnonzero(can_be_sun.any(axis=1))
     first, (left, width) = int(rows[0]), projection.smallest_arc(np.asarray(can_be_sun.any(axis=0)))
-    place = np.s_[first : int(rows[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1]
+    place = (np.s_[first : int(rows[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1])
     # What a window shows is brighter than the room: only brighter tiles are resampled.
     dark_cdm2 = 1.25 * float(np.median(seen.luminance[seen.coverage > 0.0]))
     shines = (seen.luminance > dark_cdm2) | (seen.flags & Flag.CLIPPED_HIGH > 0)
@@ -211,7 +213,7 @@ def sky_cut(
             continue
         used = np.kron(tiles, np.ones((side, side), bool))
         high, wide = used.shape
-        corner = (first + i) * side, (left + j) * side
+        corner = ((first + i) * side, (left + j) * side)
         part = Equirect(180 // _TILE_DEG * side, (*corner, high, wide))
         light, marked = _block(views, part, target)
         into = np.s_[i * side : i * side + high, j * side : j * side + wide]

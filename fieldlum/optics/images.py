@@ -315,7 +315,7 @@ def encode_rgbe(rgb: Floats) -> NDArray[np.uint8]:
     values = np.maximum(np.nan_to_num(np.asarray(rgb, np.float64), posinf=1e30), 0.0)
     flat = [cv2.IMWRITE_HDR_COMPRESSION, cv2.IMWRITE_HDR_COMPRESSION_NONE]
     _, file = cv2.imencode(".hdr", values[..., ::-1].astype(np.float32), flat)
-    size = *values.shape[:2], 4
+    size = (*values.shape[:2], 4)
     return np.ravel(file)[-math.prod(size) :].reshape(size)
 
 
@@ -540,7 +540,7 @@ def opened_exr(path: Path, **how: bool) -> Iterator[Any]:
         yield exr
 
 
-_COMPLETE = "a complete EXR", "copy the file again"
+_COMPLETE = ("a complete EXR", "copy the file again")
 
 
 def exr_headers(path: Path) -> list[dict[str, Any]]:
@@ -570,7 +570,8 @@ def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int]:
 def _check_size(headers: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Raise InputError for more values than `_max_values`, before anything is decoded.
 
-    All parts count, because OpenEXR decodes all of them. So does a file too small for its pixels.
+    headers: of each part of an .exr. All parts count, because OpenEXR decodes all of them. So does
+    a file too small for its pixels.
     """
     maximum = _max_values(path, *_EXR_VALUES)
     for header, name in ((h, name) for h in headers for name in ("dataWindow", "displayWindow")):
@@ -589,7 +590,8 @@ def _channels(
 ) -> dict[str, Floats32]:
     """Return the channels [H, W] of a picture, on its display window, by their plain name.
 
-    names : plain name by the name in the file. Pixels without data are NaN, and get a flag.
+    part : its number; header : of this part; names : plain name by the name in the file. Pixels
+    without data are NaN, and get a flag.
     """
     with (
         input_errors(path, *_COMPLETE, Exception),  # of OpenEXR
@@ -600,24 +602,29 @@ def _channels(
             plain_name: np.asarray(of_part[name].pixels).astype(np.float32, copy=False)
             for name, plain_name in names.items()
         }
+    # top, left, bottom, right
     data, display = (np.array(_window(header, name)) for name in ("dataWindow", "displayWindow"))
     if (data == display).all():
         return channels
     first = np.maximum(data[:2], display[:2])  # row and column of what both windows contain
     last = np.maximum(first, np.minimum(data[2:], display[2:]))
-    given, wanted = (tuple(map(slice, first - w[:2], last - w[:2])) for w in (data, display))
+    in_data = tuple(map(slice, first - data[:2], last - data[:2]))
+    in_display = tuple(map(slice, first - display[:2], last - display[:2]))
     channels.setdefault("flags", np.zeros(data[2:] - data[:2], np.float32))
     for name, values in channels.items():
         empty = Flag.OUTSIDE_LENS if name == "flags" else np.nan
         channels[name] = np.full(display[2:] - display[:2], empty, np.float32)
-        channels[name][wanted] = values[given]
+        channels[name][in_display] = values[in_data]
     return channels
 
 
 def _luminance(
     channels: Mapping[str, Floats32], header: Mapping[str, Any], path: Path
 ) -> tuple[Floats32, str]:
-    """Return the luminance [H, W] in cd/m2, and a note if the file does not state its unit."""
+    """Return the luminance [H, W] in cd/m2, and a note if the file does not state its unit.
+
+    channels: by plain name, [H, W] each.
+    """
     white = header.get("whiteLuminance")
     white = white if isinstance(white, int | float) and 0 < white < np.inf else None
     scale = float(white or 1.0)
@@ -649,32 +656,33 @@ def _chosen(
 ) -> tuple[int, Mapping[str, str], str]:
     """Return the part and channels of the picture with this name, or of the only one, and a note.
 
-    name : "" for the only one. Plain channels are the picture of a file with one part: a note names
-    layers next to them. Raises InputError, with the names, if several parts, layers or views could
-    be meant, if there is no such name, and for a file without a flat picture with Y or R, G, B.
+    headers: of each part of an .exr; name : "" for the only one. Plain channels are the picture of
+    a file with one part: a note names layers next to them. Raises InputError, with the names, if
+    several parts, layers or views could be meant, if there is no such name, and for a file without
+    a flat picture with Y or R, G, B.
     """
-    pictures = {own: (part, channels) for own, part, channels in _pictures(headers)}
+    pictures = {title: (part, channels) for title, part, channels in _pictures(headers)}
     remedy = "name one with --part NAME (glare, view, info), or write only that picture"
     if not pictures:
         shown = ", ".join(sorted({c for header in headers for c in header["channels"]}))[:120]
         finding = f"{'deep data, ' if any(map(_is_deep, headers)) else ''}channels {shown}"
         expected = "a channel Y in cd/m2, or R, G and B, of one flat layer"
         raise InputError(path, finding, expected, "write only that layer")
-    listed = ", ".join(own or "(plain channels)" for own in pictures)[:200]
+    listed = ", ".join(title or "(plain channels)" for title in pictures)[:200]
     if name and name not in pictures:
         raise InputError(path, f"no part {name[:80]}", f"one of {listed}", remedy)
     part, channels = pictures.get(name) or next(iter(pictures.values()))
     if name or len(headers) == len(pictures) == 1:
         return part, channels, ""
     views = _stereo_views(headers[0])
-    what, names = "views" if views else "layers", list(pictures)
+    kind, names = "views" if views else "layers", list(pictures)
     if len(headers) > 1:
-        what, names = "parts", [str(header.get("name", "")) for header in headers]
+        kind, names = "parts", [str(header.get("name", "")) for header in headers]
     elif len(views) < 2 and "." not in next(iter(channels)):
         others = ", ".join(names[1:])[:200]
         note = f"the plain channels are read; the EXR has further layers: {others}"
         return part, channels, note
-    finding = f"{len(names)} {what}: {', '.join(names)[:200]}"
+    finding = f"{len(names)} {kind}: {', '.join(names)[:200]}"
     raise InputError(path, finding, f"one of {listed}", remedy)
 
 

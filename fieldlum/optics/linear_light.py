@@ -92,7 +92,7 @@ def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, flo
     """Return the true time [s] of a nominal shutter time [s], and its relative uncertainty.
 
     The true time is the profile's measured time; without a measured one it is the time by the
-    profile's shutter law plus the sensor's constant exposure offset.
+    profile's shutter law plus the sensor's constant exposure offset. shutter_s: the nominal time.
     """
     for measured in profile.shutter:
         if abs(measured.nominal_s / shutter_s - 1) < SAME_LABEL:

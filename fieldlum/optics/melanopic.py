@@ -19,9 +19,9 @@ MELANOPIC_FROM_XYZ = np.array([-0.7898, 1.1566, 0.5489])
 # white surface and without; and what glass adds that may be grey, bronze or a film. Each u covers
 # 95 % of 28 cameras (22 matrices) at their worst of six daylights behind the worst of 8 and 14
 # glazings (the same bench).
-BY_CHART = MELANOPIC_FROM_XYZ, 0.025
-BY_WHITE = np.array([-0.7351, 1.0703, 0.5794]), 0.035
-BY_MATRIX = np.array([-1.0546, 1.4292, 0.5542]), 0.07
+BY_CHART = (MELANOPIC_FROM_XYZ, 0.025)
+BY_WHITE = (np.array([-0.7351, 1.0703, 0.5794]), 0.035)
+BY_MATRIX = (np.array([-1.0546, 1.4292, 0.5542]), 0.07)
 # By the ratio, what light that may be a lamp's adds: 95 % of 139 lamps of IES TM-30-15 (LED,
 # fluorescent, incandescent), of 25 to 100 % of the light; and the mean of true over estimated
 # ratios of LED alone and with daylight (the same bench).

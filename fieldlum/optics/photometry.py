@@ -43,7 +43,7 @@ def same_exposure(a: Exposure, b: Exposure) -> bool:
 
     Filters are not compared, because cameras do not record them.
     """
-    ratios = a.shutter_s / b.shutter_s, (a.f_number / b.f_number) ** 2, a.iso / b.iso
+    ratios = (a.shutter_s / b.shutter_s, (a.f_number / b.f_number) ** 2, a.iso / b.iso)
     return all(abs(math.log2(ratio)) <= SAME_SETTING_EV for ratio in ratios)
 
 
@@ -331,7 +331,7 @@ def fit_response(
     n = value.size
     rows = np.arange(n)
     columns = np.r_[value, 256 + place]
-    at = np.tile(rows, 2), columns
+    at = (np.tile(rows, 2), columns)
     data = sparse.csr_matrix((np.r_[weight, -weight], at), (n, 256 + places))
     curve = np.arange(1, 255)
     hat = np.minimum(curve, 255 - curve) / 127.0 + 0.05
@@ -354,7 +354,11 @@ def fit_response(
 
 
 def _ray_integrals(height: int, width: int, heading_deg: float) -> Floats:
-    """Return the integral of the unit vector over each pixel's solid angle, [H, W, 3], sr."""
+    """Return the integral of the unit vector over each pixel's solid angle, [H, W, 3], sr.
+
+    The pixels are those of an equirectangular panorama; heading_deg: azimuth of its centre. The
+    vector is (east, north, up).
+    """
     edges = np.linspace(0.0, np.pi, height + 1)
     level = np.diff(edges / 2 - np.sin(2 * edges) / 4)  # of sin^2
     upward = np.diff(np.sin(edges) ** 2 / 2)  # of sin cos
@@ -368,7 +372,7 @@ def _cosine_weights(height: int, width: int, heading_deg: float, normal: Floats)
     """Return the integral of cos(angle to the normal) over each pixel, [H, W], in sr.
 
     It is 0 behind the plane. It is exact except in sub-pixels that the plane cuts: these count as
-    their mean, or not at all.
+    their mean, or not at all. height, width, heading_deg: of a panorama.
     """
     # At least 128 rows, because pixels that the plane cuts count as their mean: a hemisphere
     # is then exact to 0.05 % (tests/test_projection.py).

@@ -83,7 +83,7 @@ def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:
     altitude_deg, azimuth_deg : shapes that broadcast to [...].
     """
     alt, az = np.radians(altitude_deg), np.radians(azimuth_deg)
-    parts = np.cos(alt) * np.sin(az), np.cos(alt) * np.cos(az), np.sin(alt)
+    parts = (np.cos(alt) * np.sin(az), np.cos(alt) * np.cos(az), np.sin(alt))
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 

@@ -76,11 +76,16 @@ def merged_brackets(session: Session) -> list[BracketInterval]:
     for bracket in brackets:
         for frame in bracket.frames:
             slots_of.setdefault(frame, []).append(bracket.slot)
-    others = [next((s for f in t.frames for s in slots_of[f] if s != t.slot), "") for t in brackets]
-    return [replace(each, double_of=other) for each, other in zip(brackets, others, strict=True)]
+
+    def other_slot(bracket: BracketInterval) -> str:
+        sharing = (slot for frame in bracket.frames for slot in slots_of[frame])
+        return next((slot for slot in sharing if slot != bracket.slot), "")
+
+    return [replace(bracket, double_of=other_slot(bracket)) for bracket in brackets]
 
 
 def _bracket_of(session: Session, path: Path) -> BracketInterval:
+    """Return the interval and quality of the bracket of a panorama."""
     slot = path.stem
     capture = CaptureFile.find(session.capture_file(slot))
     sidecar = Sidecar.find(session.sidecar(slot))
@@ -199,7 +204,7 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
         for b, at in zip(brackets, angles, strict=True)
     ]
     usable = [k for k, row in enumerate(rows) if row.ok]
-    used = [brackets[k] for k in usable], [rows[k] for k in usable]
+    used = ([brackets[k] for k in usable], [rows[k] for k in usable])
     completed = _with_suns(session, setup, *used, force, scheduler)
     for k, row in zip(usable, completed, strict=True):
         rows[k] = row
@@ -273,7 +278,7 @@ def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: flo
     recorded_lx = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
     heading_deg, at = panorama.heading_deg, None
     if sun is not None:
-        at = sun.altitude_deg, sun.azimuth_deg
+        at = (sun.altitude_deg, sun.azimuth_deg)
     elif full_normal_lx > BEAM_LX:
         flags = panorama.flags
         clipped = None if flags is None else (flags & Flag.CLIPPED_HIGH) > 0
@@ -305,21 +310,21 @@ def write_patches(
     if setup.room is None or not brackets:
         return [""] * len(brackets)
     first = read_panorama(brackets[0].panorama)
-    size = first.luminance_cdm2.shape[0], first.heading_deg
+    size = (first.luminance_cdm2.shape[0], first.heading_deg)
     common = [plain(setup.room), plain(setup.camera), *size, patch_rays(size[0])]
-    suns = light.apparent_altitude_deg, light.sun_azimuth_deg, light.direct_lx
+    suns = (light.apparent_altitude_deg, light.sun_azimuth_deg, light.direct_lx)
     recipes, missing = [], []
     for k, (bracket, altitude, azimuth, lx) in enumerate(zip(brackets, *suns, strict=True)):
         recipe = digest([*common, round(float(altitude), 4), round(float(azimuth), 4), f"{lx:.5g}"])
         recipes.append((bracket.slot, recipe))
-        files = session.sunpatch_sidecar(bracket.slot), session.sunpatch(bracket.slot)
+        files = (session.sunpatch_sidecar(bracket.slot), session.sunpatch(bracket.slot))
         note = None if force else current_note(files[0], recipe, files[1:])
         if note is None or note.get("sha256") != sha256(files[1]):
             missing.append(k)
     units = []
     for first_k in range(0, len(missing), SLOTS_A_UNIT):
         job = missing[first_k : first_k + SLOTS_A_UNIT]
-        argument = [recipes[k] for k in job], light[job], size
+        argument = ([recipes[k] for k in job], light[job], size)
         name, toml = f"sun-patches-{recipes[job[0]][0]}", (session.toml.name,)
         units.append(WorkUnit(name, trace_patches, session.root, argument, toml))
     run_each(units, scheduler, UnitOutcome.result)

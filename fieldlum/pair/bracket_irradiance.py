@@ -60,7 +60,7 @@ def irradiance_during(
 def _worst_distance_s(t_unix_s: Floats, start: float, end: float) -> float:
     """Return the largest distance of a time in [start, end] from a row [s].
 
-    Infinite without rows.
+    Infinite without rows. t_unix_s: of the rows [n].
     """
     if len(t_unix_s) == 0:
         return float("inf")
@@ -70,6 +70,11 @@ def _worst_distance_s(t_unix_s: Floats, start: float, end: float) -> float:
 
 
 def _stale_text(log: CleanIrradiance, near: slice, start: float, end: float, stale: float) -> str:
+    """Return why a bracket has no irradiance.
+
+    near: rows around it; start, end: of the bracket, unix time [s]; stale: how far the nearest
+    usable row is from a time in it [s], infinite without one.
+    """
     within = (log.t_unix_s[near] >= start - 60.0) & (log.t_unix_s[near] <= end + 60.0)
     words = {word for text in log.flags[near][within] for word in str(text).split()}
     if flags := sorted(words - {"gap", "low-sun"}):
@@ -80,8 +85,11 @@ def _stale_text(log: CleanIrradiance, near: slice, start: float, end: float, sta
 
 
 def _statistics(log: CleanIrradiance, rows: Mask) -> BracketIrradiance:
-    """Return mean irradiance and steadiness (range over mean of the global) of the masked rows."""
-    ghi, dhi, dni = (value[rows] for value in (log.ghi_wm2, log.dhi_wm2, log.dni_wm2))
+    """Return mean irradiance and steadiness (range over mean of the global) of the masked rows.
+
+    rows: at least one. Its source is what a component was computed from, if any row has one.
+    """
+    ghi, dhi, dni = log.ghi_wm2[rows], log.dhi_wm2[rows], log.dni_wm2[rows]
     mean, spread = float(ghi.mean()), float(np.ptp(ghi))
     steadiness = spread / mean if mean > 1.0 else 0.0
     caution, why = [], ""
@@ -94,13 +102,12 @@ def _statistics(log: CleanIrradiance, rows: Mask) -> BracketIrradiance:
     words = {word for text in log.flags[rows] for word in str(text).split()}
     caution += [text for word, text in _CAUTIONS.items() if word in words]
     derived = [text for text in log.source[rows] if text != MEASURED]
-    dhi_mean, dni_mean = (max(float(value.mean()), 0.0) for value in (dhi, dni))
     return BracketIrradiance(
         ghi_wm2=mean,
-        dhi_wm2=dhi_mean,
-        dni_wm2=dni_mean,
+        dhi_wm2=max(float(dhi.mean()), 0.0),
+        dni_wm2=max(float(dni.mean()), 0.0),
         steadiness=steadiness,
-        source=(*derived, MEASURED)[0],
+        source=derived[0] if derived else MEASURED,
         rows=int(rows.sum()),
         why=why,
         caution="; ".join(caution),

@@ -86,8 +86,9 @@ def write_sky_view(
 ) -> SkyView | None:
     """Estimate the sky view of n usable captures, write it with its picture, and return it.
 
-    A view in the session with the same inputs is returned instead, unless `force`. Without a
-    capture by daylight the result is None, and an earlier view is removed.
+    shown, light: of the same captures. A view in the session with the same inputs is returned
+    instead, unless `force`. Without a capture by daylight the result is None, and an earlier view
+    is removed.
     """
     rows = [k for k, capture in enumerate(shown) if capture.seen is not None]
     if not rows:
@@ -179,6 +180,7 @@ def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
     suns [n, 3]: directions of captured discs, where the panoramas show them.
     """
     grid = view.grid
+    # edges of the view, in degrees
     left = grid.heading_deg + (grid.first_azimuth_deg + 180.0) % 360.0 - 180.0
     right, top = left + grid.width * grid.step_deg, grid.first_altitude_deg
     bottom = top - grid.height * grid.step_deg
@@ -186,13 +188,13 @@ def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
     colours = np.where(blind, _NOT_SEEN, _SKY)
     alpha = 0.7 * np.where(blind, 0.5, np.nan_to_num(view.openness)[..., None])
     altitude, azimuth = altitude_azimuth_deg(suns)
-    around = panorama.heading_deg
+    middle = panorama.heading_deg
     with styled():
         size = (10.0, 1.6 + 9.0 * (top - bottom + 10.0) / (right - left + 10.0))
         figure = new_figure(*size)
         axes = figure.subplots()
         for turn in (0.0, 360.0):  # a view can cross the panorama's edge
-            extent = (around - 180.0 + turn, around + 180.0 + turn, -90.0, 90.0)
+            extent = (middle - 180.0 + turn, middle + 180.0 + turn, -90.0, 90.0)
             light = np.log10(np.maximum(np.nan_to_num(panorama.luminance_cdm2), 1.0))
             axes.imshow(light, cmap="gray", extent=extent)
         axes.imshow(np.concatenate([colours, alpha], -1), extent=(left, right, bottom, top))

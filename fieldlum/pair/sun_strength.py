@@ -69,6 +69,7 @@ def _by_meter(panorama: Panorama, sun: SunSource, meter_lx: float | None) -> flo
     """Return the sun's normal illuminance by the meter [lx].
 
     It is the measured minus the picture's vertical illuminance, divided by the cosine of incidence.
+    meter_lx: vertical illuminance by the meter, None without one.
     """
     if meter_lx is None:
         return None

@@ -39,10 +39,11 @@ def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> M
     enters = np.zeros(len(suns), bool)
     steps = (np.arange(6) + 0.5) / 6
     for o in scene.openings:
-        u, z = (low + (high - low) * steps for low, high in (o.u_m, o.z_m))
+        along_m = o.u_m[0] + (o.u_m[1] - o.u_m[0]) * steps
+        height_m = o.z_m[0] + (o.z_m[1] - o.z_m[0]) * steps
         at = np.full((36, 3), o.inner_m)
-        at[:, o.along], at[:, 2] = (grid.ravel() for grid in np.meshgrid(u, z))
-        axis, sign, target = (np.full(36, k) for k in (o.axis, o.outward, 0))
+        at[:, o.along], at[:, 2] = map(np.ravel, np.meshgrid(along_m, height_m))
+        axis, sign, target = np.full(36, o.axis), np.full(36, o.outward), np.full(36, 0)
         points = sun_points(scene, at, axis, sign, np.ones(36), target, 1)
         enters |= points.direct(suns)[:, 0] > 0.0
     return enters
@@ -73,7 +74,7 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
     set; InputError for a profile or room that cannot be used.
     """
     site, room = setup.site, setup.room
-    asked = request.start, request.year, request.days
+    asked = (request.start, request.year, request.days)
     days = capture_days.days_of_set(request.set, site, request.today, *asked)
     from_to = f"from {days[0]} to {days[-1]}"
     night = f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg)"
@@ -135,7 +136,7 @@ def make_slots(
     """
     days = [sun.standard_date(t, setup.site.timezone) for t in hours.t_utc]
     seasons = {day: capture_days.season_tag(day, setup.site) for day in set(days)}
-    angles = hours.altitude_deg, hours.azimuth_deg
+    angles = (hours.altitude_deg, hours.azimuth_deg)
     tagged = {"low-sun": hours.altitude_deg < sun.LOW_SUN_DEG}
     if setup.room is not None and setup.room.kind == "box":
         tagged["sun-enters"] = sun_enters(setup.room, *angles)

@@ -300,5 +300,5 @@ def best_hours(
     pool = pool[:: max(-(-len(pool) // POOL_HOURS), 1)]
     of_year = light_at(year.t_utc, site, year.dni_wm2, year.dhi_wm2)
     of_pool = light_at(hours[pool].t_utc, site, sky.dni_wm2[pool], sky.dhi_wm2[pool])
-    features = light_features(of_year), light_features(of_pool)
+    features = (light_features(of_year), light_features(of_pool))
     return np.sort(pool[greedy_hours(Kernel(facades_of(room)), *features, count)])

@@ -69,14 +69,19 @@ def make_up(
 def _first_free(
     slot: Slot, times: Sequence[datetime], occupied: set[str], site: Site
 ) -> tuple[Slot, float] | None:
-    """Return the first free slot with the sun near that of a missed slot, and the angle [deg]."""
+    """Return the first free slot with the sun near that of a missed slot, and the angle [deg].
+
+    slot: the missed one; times: candidates in UTC, in order; occupied: ids of the slots of the
+    plan. None if no free time has such a sun.
+    """
     at = sun.position(times, site)
     old = sun.direction(slot.sun_altitude_deg, slot.sun_azimuth_deg)
     cosine = sun.direction(at.altitude_deg, at.azimuth_deg) @ old
     off = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     for i in np.flatnonzero((at.altitude_deg > 0) & (off <= MAX_OFF_DEG)).tolist():
         if slot_id(times[i]) not in occupied:
-            tags = (*(tag for tag in slot.tags if not tag.startswith(MAKEUP)), MAKEUP + slot.id)
+            others = [tag for tag in slot.tags if not tag.startswith(MAKEUP)]
+            tags = (*others, MAKEUP + slot.id)
             altitude, azimuth = float(at.altitude_deg[i]), float(at.azimuth_deg[i])
             angles = {"sun_altitude_deg": altitude, "sun_azimuth_deg": azimuth}
             return replace(slot, t_utc=times[i], **angles, tags=tags), float(off[i])
@@ -92,8 +97,9 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
     The keys are those of `--json`. missed: number of past slots captured neither themselves nor by
     a make-up; made_up: pairs added now; lost: ids of missed slots that no hour of the coming year
     can repeat; already: number with a make-up that is still to come; recovered: number whose
-    make-up was captured; sun_band_percent: covered part of the sun band, "planned", "without" the
-    missed slots, and "with" the make-ups; revision: of the plan, 0 for the first.
+    make-up was captured; now_utc decides what is past; sun_band_percent: covered part of the sun
+    band, "planned", "without" the missed slots, and "with" the make-ups; revision: of the plan, 0
+    for the first.
     """
     now_utc = now_utc.astimezone(UTC)
     about = _complete_interrupted_replan(session)

@@ -120,7 +120,10 @@ def html(
 
 
 def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) -> list[str]:
-    """Return the drawing of the room and the coverage plots as inline SVG."""
+    """Return the drawing of the room and the coverage plots as inline SVG.
+
+    weather: of the year, for a plot of its irradiance; None for none.
+    """
     hours, site = days.hours_of(slots), setup.site
     share, near = days.sun_band_percent(hours, site), f"{days.NEAR_DEG:g} deg of a captured sun"
     title = f"{site.name}: {len(hours)} captures reach {share:.0f} % of the year's sun band "
@@ -163,6 +166,11 @@ def irradiance_figure(hours: days.DaylightHours, site: Site, weather: Weather) -
 def _sheet(
     day: date, slots: list[Slot], setup: SiteFile, cost: tuple[float, float], so_far: int
 ) -> dict[str, object]:
+    """Return what the template shows of a day.
+
+    slots: of the day; cost: seconds and megabytes of a bracket; so_far: number of brackets up to
+    the day's end.
+    """
     zone = ZoneInfo(setup.site.timezone)
     tags = sorted({tag for slot in slots for tag in slot.tags if tag in days.SEASON_TAGS})
     exposures, (each_s, megabytes) = slots[0].exposures, cost
@@ -189,6 +197,7 @@ def _sheet(
 
 
 def _row(slot: Slot, local: datetime, day: date) -> dict[str, object]:
+    """Return what the template shows of a slot; local: its time in the site's zone."""
     return {
         "local": f"{local:%H:%M}",
         "zone": f"{local:%Z}",
@@ -220,9 +229,9 @@ def sky_chart(hours: days.DaylightHours, setup: SiteFile, day: date | None = Non
         directions = days.band_directions(site, 16)
         altitude, azimuth = altitude_azimuth_deg(directions)
         near = days.near_planned(directions, hours)
-        for some, colour in ((~near, SAND), (near, AMBER)):
-            place = np.radians(azimuth[some]), 90 - altitude[some]
-            axes.plot(*place, "o", ms=3.5, mew=0, color=colour)
+        for part, colour in ((~near, SAND), (near, AMBER)):
+            angle, zenith_deg = np.radians(azimuth[part]), 90 - altitude[part]
+            axes.plot(angle, zenith_deg, "o", ms=3.5, mew=0, color=colour)
     elif "heading_deg" not in camera.assumed:
         for heading in camera.headings or (camera.heading_deg,):
             axes.plot(np.radians(heading), 85, marker=(3, 0, -heading), color=BLUE, gid="view")
@@ -232,7 +241,7 @@ def sky_chart(hours: days.DaylightHours, setup: SiteFile, day: date | None = Non
         at = sun.position([start + timedelta(minutes=10 * k) for k in range(145)], site)
         zenith_deg = np.where(at.altitude_deg > 0, 90 - at.altitude_deg, np.nan)
         axes.plot(np.radians(at.azimuth_deg), zenith_deg, color=colour, lw=width)
-    places = np.radians(hours.azimuth_deg), 90 - hours.altitude_deg
+    places = (np.radians(hours.azimuth_deg), 90 - hours.altitude_deg)
     axes.plot(*places, "o", ms=5 if day else 2, color=RED)
     for t_utc, *place in zip(hours.t_utc, *places, strict=True) if day else ():
         label = f"{t_utc.astimezone(ZoneInfo(site.timezone)):%H}"

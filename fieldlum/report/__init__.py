@@ -24,6 +24,7 @@ def _model_of(session: Session, annual: Annual | None) -> Path | None:
 
 
 def _page(session: Session, year: Annual | None) -> str:
+    """Return the report as HTML; year: the predicted year, None if there is none yet."""
     site, pairs = session.site_file().site, PairsFile.read(session.pairs)
     model, zone = _model_of(session, year), site.timezone
     shown: list[Section] = []
@@ -48,6 +49,7 @@ def _page(session: Session, year: Annual | None) -> str:
 def _facts(
     site: Site, model: Path | None, year: Annual | None, pairs: PairsFile
 ) -> list[tuple[str, str]]:
+    """Return the names and texts of the facts below the answer; model: its folder."""
     facts = {"place": f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"}
     facts["captures used"] = f"{len(pairs.usable)}"
     if model is not None:

@@ -25,16 +25,17 @@ from fieldlum.year.glare.standards import CLASSES
 from fieldlum.year.predict import Annual
 from fieldlum.year.predict.melanopic import WELL_EDI_LX
 
-_ITEMS = "item", "value"
+_ITEMS = ("item", "value")
 
 
 def _requirements(annual: Annual, zone: str, texts: Sequence[Mapping[str, str]]) -> Table:
+    """Return what `texts` ask next to what was found; zone: of local standard time."""
     directions = annual.summary.protection
     decided = [row for row in directions if row.certain]
     classes = ", ".join(f"{direction_name(row.azimuth_deg)} {class_name(row)}" for row in decided)
     found = f"decided in {len(decided)} of {len(directions)} directions: {classes or 'none'}"
     answers = [text for text in sections.disturbed(annual) if text != "–"]
-    yes, unknown = (answers.count(word) for word in ("yes", "cannot tell"))
+    yes, unknown = answers.count("yes"), answers.count("cannot tell")
     sdg = f"{yes} of {len(answers)} directions are disturbed, {unknown} cannot be decided"
     limit, ends = dict(CLASSES)["minimum"], [(row.low, row.high) for row in directions]
     low, high = np.array(ends, float).reshape(-1, 2).T  # NaN where unknown
@@ -42,10 +43,11 @@ def _requirements(annual: Annual, zone: str, texts: Sequence[Mapping[str, str]])
     leed = f"{met}, {(low > limit).sum()} have more, the others cannot be decided"
     edi = well = "cannot tell: no melanopic colour was measured"
     if sections.has_melanopic(annual):
-        each = zip(sections.melanopic_shares(annual, zone), annual.judged, strict=True)
-        best = max((s for s, good in each if good), key=lambda share: share[0].value)
-        edi = f"best direction: {best[0].text()} of the hours"
-        limits = zip(WELL_EDI_LX, best[1], strict=True)
+        pairs = zip(sections.melanopic_shares(annual, zone), annual.judged, strict=True)
+        judged = (shares for shares, is_judged in pairs if is_judged)
+        of_hours, of_days = max(judged, key=lambda shares: shares[0].value)
+        edi = f"best direction: {of_hours.text()} of the hours"
+        limits = zip(WELL_EDI_LX, of_days, strict=True)
         days = (f"{limit:.0f} lx on {share.text()} of the days" for limit, share in limits)
         well = f"best direction: {', '.join(days)}"
     words = {"found": found, "leed": leed, "sdg": sdg, "edi": edi, "well": well}
@@ -61,6 +63,7 @@ def _reported(device: DeviceTable) -> str:
 
 
 def _instruments(session: Session, setup: SiteFile) -> Table:
+    """Return the instruments with their calibrations, as far as they are stated."""
     meter, devices = setup.pyranometer, session.table().get("devices", {})
     of_meter = _reported(devices.get("pyranometer", {}))
     try:

@@ -138,6 +138,7 @@ def write_overview(campaign: CampaignFile, out: Path) -> tuple[Path, list[RoomOv
 
 
 def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
+    """Return the overview of the rooms as HTML; name: of the campaign."""
     broken = [room for room in rooms if room.broken]
     judged = [room.worst for room in rooms if room.worst is not None]
     bad = sum(worst.glare_class == "none" for worst in judged)
@@ -150,6 +151,7 @@ def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
 
 
 def _table(rooms: Sequence[RoomOverview]) -> Section:
+    """Return the section with a row for each room: captures, worst and best direction."""
     body = []
     for room in sorted(rooms, key=lambda r: -((r.worst and r.worst.dgp_exceeded) or -1.0)):
         worst, best, glare = room.worst, room.best, ("–",) * 6

@@ -111,7 +111,7 @@ def compare(
 
 
 def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, Path]:
-    files = out / "compare.csv", out / "compare.png"
+    files = (out / "compare.csv", out / "compare.png")
     write_csv(files[0], rows)
     write_file(files[1], picture)
     return files
@@ -191,8 +191,9 @@ def _on_one_grid(
 ) -> tuple[Array, Floats, Floats, Floats]:
     """Return, for each pixel of the model's picture [H, W]: surface, luminances, solid angle.
 
-    The luminances are those of the capture and of the model. The solid angle is 0 where one of the
-    pictures has no value, and around the sun.
+    path, model: of the capture and of the model's picture; room: for the names of surfaces, None
+    for no names. The luminances are those of the capture and of the model. The solid angle is 0
+    where one of the pictures has no value, and around the sun.
     """
     picture = read_picture(model)
     model_light, _ = valid_pixels(picture.panorama, model)
@@ -201,7 +202,7 @@ def _on_one_grid(
     height, width = light.shape
     place = equirect_pixel(*altitude_azimuth_deg(rays), height, width, capture.heading_deg)
     row, column = (np.floor(part).astype(int) for part in place)
-    at = np.minimum(row, height - 1), column % width
+    at = (np.minimum(row, height - 1), column % width)
     weight = np.where(capture.seen[at], weight, 0.0)
     if picture.view is not None and picture.view.kind != "v":
         # beyond its angle a fisheye's square has no picture
@@ -223,16 +224,18 @@ def _of_surfaces(
 ) -> list[JsonTable]:
     """Return a row of compare.csv for "all", and for each surface that both pictures show.
 
-    The ratio of a surface is that of its median pixel: a material changes it, light that leaks
-    through a coarse ambient cache near a window does not.
+    names, light, model_light, weight: of each pixel [H, W], the result of `_on_one_grid`. The ratio
+    of a surface is that of its median pixel: a material changes it, light that leaks through a
+    coarse ambient cache near a window does not.
     """
     rows, ratios = [], model_light / np.maximum(light, 0.01)
     for name in ("all", *sorted(set(names.ravel()) - {""})):
-        w = weight if name == "all" else np.where(names == name, weight, 0.0)
-        if w.sum() < 0.005:  # sr; about 4 degrees wide
+        used = weight if name == "all" else np.where(names == name, weight, 0.0)
+        if used.sum() < 0.005:  # sr; about 4 degrees wide
             continue
-        measured, model = (round(float((w * a).sum() / w.sum()), 2) for a in (light, model_light))
-        median = np.quantile(ratios, 0.5, weights=w, method="inverted_cdf")
+        measured = round(float((used * light).sum() / used.sum()), 2)
+        model = round(float((used * model_light).sum() / used.sum()), 2)
+        median = np.quantile(ratios, 0.5, weights=used, method="inverted_cdf")
         ratio = round(model / max(measured, 0.01) if name == "all" else float(median), 4)
         row = {"slot": slot, "surface": name, "measured_cdm2": measured, "model_cdm2": model}
         rows.append(row | {"ratio": max(ratio, 1e-4)})
@@ -319,7 +322,7 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
         word, _, unit = word.replace("[", "(").partition("(")
         if (figure := _FIGURES.get(word.strip())) is None:
             continue
-        key = figure, _azimuth(place, azimuths_deg, path)
+        key = (figure, _azimuth(place, azimuths_deg, path))
         if unit.strip(" )]") not in ("", "lx", "lux", "-"):
             raise InputError(path, f"the column {name}", "Ev in lx, DGP 0 to 1", "convert it")
         if key in figures:
@@ -357,6 +360,7 @@ def _values(path: Path, figure: str, values: Floats) -> Floats:
 
 
 def _numbers(table: strict_csv.CsvTable, column: int) -> Floats:
+    """Return a column as numbers [n], NaN where empty. Raises InputError for another text."""
     remedy = "write numbers, or nothing"
     numbers: list[float] = []
     for line, cells in table.rows:
@@ -367,7 +371,11 @@ def _numbers(table: strict_csv.CsvTable, column: int) -> Floats:
 
 
 def _times_of(table: strict_csv.CsvTable, columns: dict[str, int]) -> Floats:
-    """Return the hour of the year that each row states, [n]: 0 to 8760, maybe with a fraction."""
+    """Return the hour of the year that each row states, [n]: 0 to 8760, maybe with a fraction.
+
+    columns: the number of each column by its name in small letters. Without a column of times the
+    rows must be the 8760 hours of a year.
+    """
     if {"month", "day", "hour"} <= columns.keys():
         parts = np.stack([_numbers(table, columns[k]) for k in ("month", "day", "hour")])
         return _hours_of_dates(table.path, parts, [line for line, _ in table.rows])
@@ -418,8 +426,9 @@ def _sun_up_hours(folder: Path) -> Path | None:
 def _read_matrix(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
     """Read DGP or Ev of views from a file of DAYSIM (DIVA), or a folder of honeybee-radiance.
 
-    DAYSIM's .dgp or .ill: lines of month, day, hour, and a value for each view. Of honeybee:
-    GRID.dgp, GRID.ill or GRID.npy, a row for each sensor and a column for each sun-up hour.
+    azimuths_deg: of the views, in the file's order. DAYSIM's .dgp or .ill: lines of month, day,
+    hour, and a value for each view. Of honeybee: GRID.dgp, GRID.ill or GRID.npy, a row for each
+    sensor and a column for each sun-up hour.
     """
     import pandas as pd
 
@@ -488,7 +497,8 @@ def _compare_hours(
     """Return the differences of a model's hourly figures and those of the predicted year.
 
     model: a column for each (figure, azimuth [deg]), rows by hour of the year; zone: of the year's
-    standard time. Raises InputError without common hours, and for hours of another clock.
+    standard time; path: the model's file, for errors; out: the folder of the answer. Raises
+    InputError without common hours, and for hours of another clock.
     """
     row_of = np.full(8760, -1)
     row_of[[hour_of_year(t, zone) for t in annual.t_utc]] = np.arange(len(annual))
@@ -525,7 +535,10 @@ def _compare_hours(
 
 
 def _of_evalglare(session: Session, path: Path, azimuths_deg: Sequence[float]) -> list[_Shared]:
-    """Return DGP and Ev of captures with evalglare's; empty for a file without its results."""
+    """Return DGP and Ev of captures with evalglare's; empty for a file without its results.
+
+    path: evalglare's output for several pictures; azimuths_deg: for pictures whose view is unknown.
+    """
     results = list(_EVALGLARE.finditer(strict_csv.read_text(path, "a model's table")))
     files = {file.stem: file for file in session.panorama_files()}
     rows: dict[tuple[float, str], list[tuple[float, ...]]] = {}
@@ -572,7 +585,7 @@ class _Shared(NamedTuple):
     model: Floats
 
     def direction(self) -> JsonTable:
-        pair = self.measured, self.model
+        pair = (self.measured, self.model)
         over = [int((v > DISTURBING_DGP).sum()) if self.figure == "dgp" else None for v in pair]
         means = (float(v.mean()) for v in (*pair, np.abs(self.model - self.measured)))
         names = ("azimuth_deg", "figure", "hours", "measured", "model", "mean_abs")

@@ -31,8 +31,8 @@ from fieldlum.optics.raw import RAW_SUFFIXES
 from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.room.fit.scene_file import SCENE_TOML, read_scene
 from fieldlum.room.scene.geometry import build
-from fieldlum.room.scene.honeybee import MODEL_NAME, honeybee_model
 from fieldlum.room.scene.radiance import rad_text
+from fieldlum.room.scene.write_honeybee import MODEL_NAME, honeybee_model
 from fieldlum.session import Session, replacing_path, write_file
 from fieldlum.session.codec import change_of, write_csv, write_object
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -80,7 +80,7 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
         light, _ = valid_pixels(panorama, path)
         asked = azimuths_deg or (panorama.heading_deg,)
         for azimuth in dict.fromkeys(round(a % 360.0, 1) % 360.0 for a in asked):
-            place = panorama.heading_deg, azimuth
+            place = (panorama.heading_deg, azimuth)
             picture = panorama_to_fisheye(light, *place, size=_FISHEYE_PX, sun=panorama.sun)
             toward = " ".join(f"{value:.6f}" for value in direction(0.0, azimuth))
             view = f"{FISHEYE_VIEW} -vp 0 0 0 -vd {toward} -vu 0 0 1"
@@ -93,8 +93,9 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
 def _sky(session: Session, out: Path) -> list[Path]:
     """Write the sky view by degree above the horizon as a csv, and as an equidistant fisheye.
 
-    The fisheye looks to the zenith, north up and east left as in pictures of the sky: white where
-    the beam arrives, black where it does not, grey where no lens saw.
+    out: the folder; return the files, none without a sky view. The fisheye looks to the zenith,
+    north up and east left as in pictures of the sky: white where the beam arrives, black where it
+    does not, grey where no lens saw.
     """
     view = SkyView.find(session.root / "sky_view.exr")
     if view is None:
@@ -115,11 +116,16 @@ def _sky(session: Session, out: Path) -> list[Path]:
 
 
 def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Path]:
+    """Write the room for Radiance and for honeybee, with views; return the files, none without one.
+
+    The fitted room is written if it was chosen. Raises InputError for a file that export did not
+    write.
+    """
     scene = session.root / "scene"
     room: Room | None = session.site_file().room
     if (scene / SCENE_TOML).is_file():
-        found = read_scene(scene)
-        room = found.room if found.chosen == "fitted" else room
+        fitted = read_scene(scene)
+        room = fitted.room if fitted.chosen == "fitted" else room
     if room is None or room.kind != "box":
         return []
     path, model = out / "room.rad", out / "room.hbjson"
@@ -134,6 +140,7 @@ def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Pa
 
 
 def _pairs(session: Session, out: Path) -> list[Path]:
+    """Write the usable rows of pairs.csv as netCDF; return the file, none without rows."""
     pairs = PairsFile.find(session.pairs).usable
     if not pairs:
         return []
@@ -149,6 +156,7 @@ def _pairs(session: Session, out: Path) -> list[Path]:
 
 
 def _netcdf(data: xr.Dataset, path: Path) -> Path:
+    """Write a dataset as netCDF 3; return its path."""
     with replacing_path(path) as temporary:
         # xarray's integers have 32 bits there: 68 years of seconds
         wide = {"time": {"dtype": "float64"}}
@@ -297,6 +305,10 @@ def _span(session: Session) -> tuple[str, str]:
 
 
 def _data_sheet(session: Session, s: Statement, notes: Sequence[str], count: int) -> str:
+    """Return DATASHEET.md of an archive.
+
+    s: who publishes it and how; notes: what to check before; count: number of files.
+    """
     setup, (first, last) = session.site_file(), _span(session)
     captured, merged = len(session.captured_folders()), len(session.panorama_files())
     return f"""# {s.title}
@@ -316,6 +328,7 @@ def _data_sheet(session: Session, s: Statement, notes: Sequence[str], count: int
 
 
 def _datacite(session: Session, s: Statement) -> dict[str, Any]:
+    """Return the metadata of an archive by DataCite's schema; s: who publishes it and how."""
     first, last = _span(session)
     return {
         "schemaVersion": "http://datacite.org/schema/kernel-4",

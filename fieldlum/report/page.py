@@ -270,8 +270,8 @@ def polar_svg(azimuths_deg: Floats, dgp_exceeded: Floats, low: Floats, high: Flo
     angle = np.radians(np.append(azimuths_deg[order], azimuths_deg[order[0]] + 360.0))
     floor, top = POLAR_RANGE
     limits = [limit for _, limit in CLASSES]
-    arrays = (dgp_exceeded, low, high)
-    middle, lower, upper = (np.clip(values[around], floor, top) for values in arrays)
+    middle = np.clip(dgp_exceeded[around], floor, top)
+    lower, upper = np.clip(low[around], floor, top), np.clip(high[around], floor, top)
     with styled():
         figure = Drawing(figsize=(4.6, 4.6))
         axes: Any = figure.add_subplot(projection="polar")

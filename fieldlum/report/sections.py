@@ -66,6 +66,7 @@ def best_direction(annual: Annual) -> tuple[str, str]:
 
 
 def _class_words(row: DirectionYear) -> str:
+    """Return the class of a direction in words, with what restricts it."""
     name = f"{row.glare_class} protection"
     words = f"{'worse than minimum protection' if row.glare_class == 'none' else name} from glare"
     if row.seen == PARTLY_SEEN and not row.certain:
@@ -116,16 +117,17 @@ class Share(NamedTuple):
 def _hours_over(annual: Annual, limit: float) -> list[Share]:
     """Return the share of the occupied hours whose DGP exceeds a limit, for each direction.
 
-    Its interval includes the camera's scale, which the intervals of single hours leave out.
+    limit: of DGP. Its interval includes the camera's scale, which the intervals of single hours
+    leave out.
     """
     used, count = annual.occupied, max(annual.summary.occupancy.hours, 1)
-    names = "dgp", "dgp_low", "dgp_high", "ev_lx"
+    names = ("dgp", "dgp_low", "dgp_high", "ev_lx")
     dgp, low, high, ev_lx = (annual.views[name][used] for name in names)
     low, high = np.where(np.isnan(low), dgp, low), np.where(np.isnan(high), dgp, high)
     of_scale = 1.96 * annual.summary.u_scale_rel * dgp_per_scale(dgp, ev_lx)
     low, high = dgp - np.hypot(dgp - low, of_scale), dgp + np.hypot(high - dgp, of_scale)
-    shares = [100.0 * (values > limit).sum(axis=0) / count for values in (dgp, low, high)]
-    return [Share(float(v), low=float(a), high=float(b)) for v, a, b in zip(*shares, strict=True)]
+    shares = np.stack([100.0 * (hours > limit).sum(axis=0) / count for hours in (dgp, low, high)])
+    return [Share(*of_direction) for of_direction in shares.T.tolist()]
 
 
 def disturbed(annual: Annual) -> list[str]:
@@ -147,7 +149,7 @@ def directions_section(annual: Annual) -> Section:
         hours = ("–" if count is None else count for count in row.hours_over.values())
         free = Share(100 - over.value, 100 - over.high, 100 - over.low).text()
         interval = "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
-        figures = exceeded_text(row), interval, *hours, "–" if sdg == "–" else free, sdg
+        figures = (exceeded_text(row), interval, *hours, "–" if sdg == "–" else free, sdg)
         rows.append((direction_name(row.azimuth_deg), of_class, settled, *figures))
     head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval")
     occupied = f"Occupied hours: {annual.summary.occupancy.text}."
@@ -224,7 +226,10 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
 
 
 def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
-    """Return fisheyes around the room in one hour, with the sun's disc."""
+    """Return fisheyes around the room in one hour, with the sun's disc.
+
+    k: index of the hour in `pictures`; when: its time, as a text. At most ten directions are shown.
+    """
     row, disc_lx, hours = int(pictures.rows[k]), float(pictures.disc_lx[k]), annual.hours
     altitude = float(apparent_altitude_deg(hours["sun_altitude_deg"][row]))
     sun = SunSource(altitude, float(hours["sun_azimuth_deg"][row]), disc_lx)
@@ -247,12 +252,12 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
     """
     tables, budget = [], read_budgets(annual.folder / BUDGET_FILE)
     for figure, unit in dict.fromkeys((row["figure"], row["unit"]) for row in budget):
-        own = [row for row in budget if row["figure"] == figure and row["contribution"]]
-        own = [row for row in own if float(row["share_percent"] or 0) > 0.01]
-        names, views = dict.fromkeys(["combined", *(row["source"] for row in own)]), {}
-        for row in own:
-            of = row["azimuth_deg"], row["estimate"]
-            view = views.setdefault(of, dict.fromkeys(names, "–"))
+        shown = [row for row in budget if row["figure"] == figure and row["contribution"]]
+        shown = [row for row in shown if float(row["share_percent"] or 0) > 0.01]
+        names, views = dict.fromkeys(["combined", *(row["source"] for row in shown)]), {}
+        for row in shown:
+            direction = (row["azimuth_deg"], row["estimate"])
+            view = views.setdefault(direction, dict.fromkeys(names, "–"))
             view[row["source"]] = f"{float(row['contribution']):.2g}"
         rows = [
             (direction_name(float(azimuth)), f"{float(estimate):.3g}", *view.values())
@@ -291,16 +296,16 @@ def melanopic_shares(annual: Annual, zone: str) -> list[tuple[Share, list[Share]
     edi, u = annual.views["melanopic_edi_lx"], annual.views["u_melanopic_edi_lx"]
     if not has_melanopic(annual):
         edi, u = annual.views["melanopic_edi_lx_estimate"], np.zeros(1)
-    at, *ends = (hours.shares(edi + sign * 1.96 * u) for sign in (0, -1, 1))  # 95 %
+    best, *ends = (hours.shares(edi + sign * 1.96 * u) for sign in (0, -1, 1))  # ends: of 95 %
     for row in read_budgets(annual.folder / BUDGET_FILE):
-        if (name := row["figure"]) in at and row["source"] == "combined" and row["contribution"]:
+        if (name := row["figure"]) in best and row["source"] == "combined" and row["contribution"]:
             k = int(np.argmin(np.abs(annual.azimuths_deg - float(row["azimuth_deg"]))))
             for sign, end in zip((-1, 1), ends, strict=True):
                 u_share = sign * 1.96 * float(row["contribution"])
-                end[name][k] = np.clip(at[name][k] + u_share, 0.0, 100.0)
+                end[name][k] = np.clip(best[name][k] + u_share, 0.0, 100.0)
 
     def share(name: str, k: int) -> Share:
-        value, low, high = (float(part[name][k]) for part in (at, *ends))
+        value, low, high = (float(part[name][k]) for part in (best, *ends))
         return Share(value, low=low, high=high)
 
     hours, days, places = melanopic.ENOUGH_HOURS, melanopic.ENOUGH_DAYS, range(edi.shape[1])
@@ -367,12 +372,17 @@ def accuracy_section(
 
 
 def _held_out_figure(held: HeldOutMaps, names: Mapping[str, str]) -> Figure:
-    order, n = np.argsort(held.log10_mse), len(held)
-    picks = list(dict.fromkeys(int(order[i]) for i in (n // 2, min(int(0.9 * n), n - 1), n - 1)))
+    """Return the held-out maps with the median, 90 % and largest error, next to their predictions.
+
+    names: what a slot's picture is called, by slot; fewer than three maps are shown once each.
+    """
+    order, count = np.argsort(held.log10_mse), len(held)
+    ranks = (count // 2, min(int(0.9 * count), count - 1), count - 1)  # by error, as `SHOWN`
+    picks = list(dict.fromkeys(int(order[rank]) for rank in ranks))
     slots = [names.get(str(held.slots[i]), str(held.slots[i])) for i in picks]
     labels = [f"{slot}, {text}" for slot, text in zip(slots, SHOWN, strict=False)]
-    logarithms = held.measured_log10, held.predicted_log10
-    measured, predicted = (10.0 ** maps[picks].astype(np.float32) for maps in logarithms)
+    measured = 10.0 ** held.measured_log10[picks].astype(np.float32)
+    predicted = 10.0 ** held.predicted_log10[picks].astype(np.float32)
     what = (
         "Measured and predicted luminance panoramas and their ratio for held-out hours "
         f"({', '.join(SHOWN[: len(picks)])}), without the sun's disc. Red is predicted too bright, "
@@ -387,6 +397,7 @@ _COLUMNS |= {"dgp_mae": "DGP error, all hours"}
 
 
 def _score_table(scores: ScoresFile) -> Table:
+    """Return the scores of the models that were tried; the chosen one is marked."""
     rows = []
     for row in scores.models:
         name, *figures = (row.get(key) for key in _COLUMNS)
@@ -413,12 +424,12 @@ def captures_section(
     up = hours.altitude_deg > 0
     suns, skies = ("sun_azimuth_deg", "sun_altitude_deg"), ("dni_wm2", "dhi_wm2")
     positions = (hours.azimuth_deg[up], hours.altitude_deg[up])
-    labels = "hours of the year", "sun azimuth, ° from north", "sun altitude, °"
+    labels = ("hours of the year", "sun azimuth, ° from north", "sun altitude, °")
     svg = page.captured_svg(positions, _columns(used, suns), *labels)
     what = "Sun positions of a year (grey) and of the captures (red)."
     path = Figure(svg, f"{what} Hours far from every red point are extrapolated.")
     weather = [year.get(name, np.empty(0)) for name in skies]
-    labels = "weather file", "direct normal irradiance, W/m²", "diffuse irradiance, W/m²"
+    labels = ("weather file", "direct normal irradiance, W/m²", "diffuse irradiance, W/m²")
     svg = page.captured_svg(weather, _columns(used, skies), *labels)
     irradiance = Figure(svg, "Skies of the weather file (grey) and of the captures (red).")
     refused = Counter(row.why or "no reason recorded" for row in pairs.refused)
@@ -432,6 +443,7 @@ def _columns(rows: Sequence[PairRow], names: Sequence[str]) -> list[Floats]:
 
 
 def _captures_text(session: Session, site: Site, pairs: PairsFile) -> str:
+    """Return how many brackets are usable, and how their irradiance and suns are known."""
     used = pairs.usable
     days = sorted({sun.standard_date(row.t_utc, site.timezone).isoformat() for row in used})
     planned = len(session.slots()) if session.plan.is_file() else len(used)

@@ -135,7 +135,7 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
         texts += [f"facing {azimuth % 360.0:.0f}°" for azimuth in azimuths_deg]
     outlines = [] if picture.view is None else _outlines(sources, luminance.shape)
     omega_sr, figures = picture_directions(picture)[1].astype(np.float32), "; ".join(texts)
-    about = figures, outlines, answer["warnings"]
+    about = (figures, outlines, answer["warnings"])
     return MeasuredPicture(path.name, picture, luminance, omega_sr, *about)
 
 
@@ -171,6 +171,7 @@ def write_png(path: Path, pictures: Sequence[MeasuredPicture], regions: Sequence
 
 
 def _draw_marks(axis, picture: MeasuredPicture, regions: Sequence[Region]) -> None:
+    """Draw the picture's outlines, and the regions with their numbers from 1, on an axes."""
     for outline in picture.outlines:
         x, y = np.array([*outline, outline[0]]).T + 0.5
         axis.plot(x, y, color="cyan", linewidth=0.8)

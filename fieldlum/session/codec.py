@@ -287,6 +287,7 @@ def write_csv(
         names = list(dict.fromkeys(key for row in rows for key in row))
 
     def cell(value: Any) -> str:
+        """Return the text of a value: empty for None and NaN, UTC for a time, 0 or 1 for a bool."""
         if value is None or value != value:
             return ""
         if isinstance(value, float):

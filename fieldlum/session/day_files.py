@@ -51,7 +51,7 @@ def decode_sample(line: bytes) -> IrradianceSample | None:
         if not line.endswith(b"\n") or len(crc) != 8 or int(crc, 16) != zlib.crc32(body):
             return None
         t_utc, *figures, status, raw = next(csv.reader([body.decode()]))
-        names = "ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c"
+        names = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
         values = {n: float(v) if v else None for n, v in zip(names, figures, strict=True)}
         return IrradianceSample(parse_utc(t_utc), **values, status=status, raw=raw)
     except (ValueError, StopIteration):

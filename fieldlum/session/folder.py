@@ -122,6 +122,8 @@ class _SlotPlace:
         self._parts, self.top = parts, parts[0]
 
     def __get__(self, session: Session, owner: type[Session]) -> Callable[[str], Path]:
+        """Return the function that gives a slot's path in a session."""
+
         def place(slot: str) -> Path:
             if not is_plain(slot):  # from the journal or another file that anybody may have written
                 found, expected = f"the slot name {slot!r}", "a name such as 20270320T153000Z"

@@ -73,8 +73,11 @@ def read_plan(path: Path) -> list[Slot]:
 
 
 def _slot(cells: Mapping[str, str]) -> Slot:
-    """Return the slot of a line. Raises ValueError for a wrong cell or a name of another time."""
-    altitude_deg, azimuth_deg = (float(cells[f"sun_{n}_deg"]) for n in ("altitude", "azimuth"))
+    """Return the slot of a line; cells: by column.
+
+    Raises ValueError for a wrong cell, and for a slot whose name is of another time.
+    """
+    altitude_deg, azimuth_deg = float(cells["sun_altitude_deg"]), float(cells["sun_azimuth_deg"])
     exposures = tuple(parse_exposure(t) for t in cells["exposures"].split(";") if t.strip())
     slot = Slot(
         t_utc=parse_utc(cells["t_utc"]),
@@ -84,6 +87,6 @@ def _slot(cells: Mapping[str, str]) -> Slot:
         tags=tuple(cells["tags"].split()),
     )
     if slot.id != cells["slot"] or not math.isfinite(altitude_deg + azimuth_deg):
-        angles = altitude_deg, azimuth_deg
+        angles = (altitude_deg, azimuth_deg)
         raise ValueError(f"slot {cells['slot']} with t_utc {cells['t_utc']}, angles {angles}")
     return slot

@@ -90,6 +90,7 @@ def refuse_links(root: Path, stems: Container[str]) -> None:
 
 
 def _refuse_in(entry: os.DirEntry[str], *, is_deep: bool = True) -> None:
+    """Raise InputError for a link or a special file; is_deep: also in the folder that it is."""
     path = Path(entry.path)
     if entry.is_symlink():
         refuse_link(path.parent, path)

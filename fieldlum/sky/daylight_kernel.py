@@ -186,17 +186,18 @@ def greedy_hours(kernel: Kernel, year: Features, pool: Features, count: int) -> 
 
     The result is rows of the pool in the order of choice: all of them if it has fewer hours. year,
     pool: features of the hours to predict and of the hours that can be chosen; no picture is
-    needed. Cost: O((len(year) + len(pool)) len(pool) count).
+    needed. kernel: covariance between the light of two sets of hours. Cost: O((len(year) +
+    len(pool)) len(pool) count).
     """
-    cross, own = kernel(year, pool), kernel(pool, pool)
-    free, chosen = np.ones(len(pool), bool), []
+    year_pool, pool_covariance = kernel(year, pool), kernel(pool, pool)
+    not_chosen, chosen = np.ones(len(pool), bool), []
     for step in range(min(count, len(pool))):
-        variances = np.maximum(np.diagonal(own), 0.0) + CAPTURE_NOISE
-        best = int(np.argmax(np.where(free, (cross**2).sum(axis=0) / variances, -1.0)))
-        free[best] = False
+        variances = np.maximum(np.diagonal(pool_covariance), 0.0) + CAPTURE_NOISE
+        best = int(np.argmax(np.where(not_chosen, (year_pool**2).sum(axis=0) / variances, -1.0)))
+        not_chosen[best] = False
         chosen.append(best)
-        row = own[best] / variances[best]
-        cross = cross - np.outer(cross[:, best], row)
-        own = own - np.outer(own[:, best], row)
+        row = pool_covariance[best] / variances[best]
+        year_pool = year_pool - np.outer(year_pool[:, best], row)
+        pool_covariance = pool_covariance - np.outer(pool_covariance[:, best], row)
         progress(step + 1, count, "hours chosen")
     return np.array(chosen, np.intp)

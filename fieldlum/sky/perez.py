@@ -123,7 +123,8 @@ def _clearness_brightness(
 ) -> tuple[Floats, Floats]:
     """Return Perez's epsilon (clearness) and Delta (brightness), [n] each.
 
-    Both are limited to the model's range, as in gendaylit.
+    dni, dhi: irradiance [n] W/m2; zenith_deg: of the sun [n]; day: of the year [n]. Both are
+    limited to the model's range, as in gendaylit.
     """
     from pvlib.atmosphere import get_relative_airmass
     from pvlib.irradiance import get_extra_radiation
@@ -132,19 +133,23 @@ def _clearness_brightness(
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         clearness = ((dhi + dni) / dhi + cubed) / (1 + cubed)
     clearness = np.where(dhi > 0, clearness, np.where(dni > 0, np.inf, 1.0))
-    top = np.asarray(get_extra_radiation(day, SOLAR_CONSTANT_WM2, "spencer"))
-    brightness = dhi * get_relative_airmass(zenith_deg, "kasten1966") / top
+    extraterrestrial = np.asarray(get_extra_radiation(day, SOLAR_CONSTANT_WM2, "spencer"))
+    brightness = dhi * get_relative_airmass(zenith_deg, "kasten1966") / extraterrestrial
     minimum, maximum = _CLEARNESS
     clearness = np.where(clearness > maximum, maximum - 0.001, np.maximum(clearness, minimum))
     return clearness, np.clip(brightness, *_BRIGHTNESS)
 
 
 def _shape(zenith: Floats, clearness: Floats, brightness: Floats) -> Floats:
-    """Return a, b, c, d, e, [n, 5]; zenith in radians."""
+    """Return the coefficients a, b, c, d, e of Perez's relative luminance, [n, 5].
+
+    zenith: of the sun [n] rad; clearness, brightness: by `_clearness_brightness` [n]. The four x_i
+    of each coefficient are looked up by clearness (Perez, Seals and Michalsky 1993).
+    """
     brightness = np.where(
         (clearness > 1.065) & (clearness < 2.8), np.maximum(brightness, 0.2), brightness
     )
-    x = _SHAPE[np.searchsorted(_BINS, clearness, side="right")]
+    x = _SHAPE[np.searchsorted(_BINS, clearness, side="right")]  # [n, 5, 4]
     terms = np.stack((np.ones_like(zenith), zenith, brightness, brightness * zenith), axis=-1)
     shape = np.zeros((len(x), 5))
     for j in range(4):  # in this order, so that an hour does not depend on the other hours
@@ -171,7 +176,7 @@ def _relative_horizontal(shape: Floats, zenith: Floats) -> Floats:
 
     The rule is gendaylit's. Far outside Perez's data the formula is negative: over all of the sky,
     which the normalisation corrects (the integral is negative too), or over a part of it, which
-    then has no light.
+    then has no light. shape: by `_shape` [n, 5]; zenith: of the sun [n] rad.
     """
     rays = reinhart_patches(1).directions  # Tregenza's
     sun = np.stack((np.zeros_like(zenith), np.sin(zenith), np.cos(zenith)), axis=-1)
@@ -183,8 +188,11 @@ def _relative_horizontal(shape: Floats, zenith: Floats) -> Floats:
 
 
 def _ground_over_zenith(clearness: Floats, altitude: Floats) -> Floats:
-    """Return ground ambient over zenith luminance, [n] (gensky's clear and intermediate fits)."""
-    x = (altitude - np.pi / 4) / (np.pi / 4)
+    """Return ground ambient over zenith luminance, [n] (gensky's clear and intermediate fits).
+
+    altitude: of the sun [n] rad. f_clear, f_between: the value of the sky's formula at the zenith.
+    """
+    x = (altitude - np.pi / 4) / (np.pi / 4)  # -1 at the horizon, 1 at the zenith
     clear = np.polynomial.polynomial.polyval(x, (2.766521, 0.547665, -0.369832, 0.009237, 0.059229))
     between = np.polynomial.polynomial.polyval(x, (3.5556, -2.7152, -1.3081, 1.0660, 0.60227))
     zenith = np.pi / 2 - altitude
@@ -220,9 +228,11 @@ def perez_coefficients(
     clearness, brightness = _clearness_brightness(dni, dhi, zenith_deg, day)
     shape = _shape(zenith, clearness, brightness)
     bin_ = np.searchsorted(_BINS, clearness, side="right")
-    f, g = _DIFFUSE_EFFICACY[bin_].T, _DIRECT_EFFICACY[bin_].T
-    diffuse_lx = dhi * (f[0] + f[1] * WATER_CM + f[2] * np.cos(zenith) + f[3] * np.log(brightness))
-    efficacy = g[0] + g[1] * WATER_CM + g[2] * np.exp(5.73 * zenith - 5) + g[3] * brightness
+    # luminous efficacies in lm/W (Perez et al. 1990): a + b W + c f(zenith) + d g(brightness)
+    a, b, c, d = _DIFFUSE_EFFICACY[bin_].T
+    diffuse_lx = dhi * (a + b * WATER_CM + c * np.cos(zenith) + d * np.log(brightness))
+    a, b, c, d = _DIRECT_EFFICACY[bin_].T
+    efficacy = a + b * WATER_CM + c * np.exp(5.73 * zenith - 5) + d * brightness
     direct_lx = dni * np.maximum(efficacy, 0.0)
     norm = diffuse_lx / _relative_horizontal(shape, zenith)
     zenith_cdm2 = np.maximum(norm * _relative(shape, np.ones_like(zenith), zenith), 0.0)

@@ -83,8 +83,8 @@ def wrong_axes(
     pictures, of `rows` pixels, show what `sun_elsewhere` finds, or a disc at the sun's place.
     heading_deg: stated azimuth of their centre column. All azimuths are clockwise from north.
     """
-    suns, shown = (np.reshape(np.asarray(each, float), (-1, 2)) for each in (suns_deg, shown_deg))
-    altitude, azimuth = suns.T
+    shown = np.reshape(np.asarray(shown_deg, float), (-1, 2))
+    altitude, azimuth = np.reshape(np.asarray(suns_deg, float), (-1, 2)).T
     ahead = signed_angle_deg(azimuth - heading_deg)
     within_deg = max(_WITHIN_DEG, 2.5 * 180.0 / rows)
 
@@ -101,24 +101,24 @@ def wrong_axes(
     true_deg = (heading_deg - turn_deg) % 360.0
     heading = f"set heading_deg = {true_deg:.0f}, if clock and place are right"
     high = int((elsewhere & (altitude > _LOW_SUN_DEG)).sum())
-    turn = f"turned by {turn_deg:.0f} degrees", heading
+    turned = f"turned by {turn_deg:.0f} degrees"
     # Elsewhere at one time of the day, a mirror, a facade of glass or a lamp shows the same place.
     apart_deg = np.abs(signed_angle_deg(ahead[elsewhere] - ahead[elsewhere][:, None])).max()
     turns = int(elsewhere.sum()) if apart_deg > 2.0 * within_deg else 0
-    every = (
-        (explained(altitude, ahead + turn_deg), *turn, turns),
+    # which captures an explanation is true of, its text, its remedy, and discs that support it
+    explanations = (
+        (explained(altitude, ahead + turn_deg), turned, heading, turns),
         (explained(-altitude, ahead), "upside down", "exchange top and bottom", high),
         (explained(-altitude, -ahead), "turned about its axis by 180", "turn it back", high),
         (explained(altitude, -ahead), "mirrored left to right", "mirror the pictures", 0),
     )
-    likely = [each for each in every if each[0].all()]
+    likely = [candidate for candidate in explanations if candidate[0].all()]
     if not likely:
         found = f"the sun's disc in {count} is not where the sun was"
         remedy = "check t_utc, the place, heading_deg and the pictures' axes"
         return WrongAxes(found, remedy, sure=False)
-    kinds, remedies = (
-        " or ".join(names) for names in zip(*((name, do) for _, name, do, _ in likely), strict=True)
-    )
+    kinds = " or ".join(kind for _, kind, _, _ in likely)
+    remedies = " or ".join(remedy for _, _, remedy, _ in likely)
     found = f"the sun's disc in {count} is where a picture shows it that is {kinds}"
     sure = len(likely) == 1 and likely[0][3] >= _SURE_DISCS
     return WrongAxes(

@@ -66,9 +66,9 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
     index = pandas_index(times_utc)
     if len(index) == 0:
         return SunPosition(*np.empty((3, 0)))
-    place = site.latitude_deg, site.longitude_deg, site.altitude_m
+    place = (site.latitude_deg, site.longitude_deg, site.altitude_m)
     table = get_solarposition(index, *place, method="nrel_numpy")
-    names = "elevation", "apparent_elevation", "azimuth"
+    names = ("elevation", "apparent_elevation", "azimuth")
     altitude, apparent, azimuth = (np.array(table[name], float) for name in names)
     return SunPosition(altitude, apparent, azimuth % 360.0)
 
@@ -83,7 +83,7 @@ def apparent_altitude_deg(altitude_deg: ArrayLike) -> Floats:
 
     altitude = np.asarray(altitude_deg, float)
     visible = altitude >= -(0.26667 + _HORIZON_REFRACTION_DEG)
-    shown = np.where(visible, altitude, 0.0), _HORIZON_REFRACTION_DEG
+    shown = (np.where(visible, altitude, 0.0), _HORIZON_REFRACTION_DEG)
     raised = spa.atmospheric_refraction_correction(*_STANDARD_HPA_C, *shown)
     return altitude + np.where(visible, raised, 0.0)
 
@@ -316,7 +316,7 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
     ghi = np.asarray(ghi_wm2, float)
     zenith = 90.0 - position(times_utc, site).altitude_deg
     with np.errstate(divide="ignore", invalid="ignore"), _ignore_dayofyear_warning():
-        series = np.maximum(ghi, 0.0), zenith, pandas_index(times_utc)
+        series = (np.maximum(ghi, 0.0), zenith, pandas_index(times_utc))
         computed = dirint(*series, pressure=alt2pres(site.altitude_m))
     dni = np.nan_to_num(np.asarray(computed, float), nan=0.0)
     # The beam never exceeds what the global allows, nor the irradiance above the atmosphere.

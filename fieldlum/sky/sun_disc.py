@@ -151,7 +151,7 @@ def add_disc(
     luminance_cdm2 [n, H, W] : without discs; disc_lx [n] : illuminance on a plane normal to the
     sun; light : its apparent sun positions count; heading_deg : azimuth of the maps' centre.
     """
-    place = light.apparent_altitude_deg, light.sun_azimuth_deg
+    place = (light.apparent_altitude_deg, light.sun_azimuth_deg)
     return add_source(luminance_cdm2, place, disc_lx, heading_deg)
 
 
@@ -184,19 +184,24 @@ def add_source(
 def _band(
     light: Floats, clipped: Mask | None, heading_deg: float, altitude_deg: float, search_rad: float
 ) -> _Band:
+    """Return the rows of a panorama in which a disc and its surroundings can be.
+
+    light: luminance [H, W] cd/m2; clipped: its clipped pixels [H, W], None for none; heading_deg:
+    azimuth of its centre; altitude_deg: the sun's; search_rad: how far from there a disc may be.
+    """
     height, width = light.shape
     pixel_rad = np.pi / height
     reach_rad = SUN_RADIUS_RAD + 1.5 * pixel_rad + np.radians(0.5)
     ring_rad = reach_rad + 3.0 * pixel_rad + np.radians(1.0)
     margin_deg = np.degrees(search_rad + ring_rad + _CLIPPED_REACH_RAD)
     altitudes, azimuths = row_altitudes_deg(height), column_azimuths_deg(width, heading_deg)
-    near = np.flatnonzero(np.abs(altitudes - altitude_deg) <= margin_deg)
-    rows = slice(int(near[0]), int(near[-1]) + 1)
+    indices = np.flatnonzero(np.abs(altitudes - altitude_deg) <= margin_deg)
+    rows = slice(int(indices[0]), int(indices[-1]) + 1)
+    clipped = np.zeros(light.shape, bool) if clipped is None else clipped
     solid_sr = np.repeat(row_solid_angles(height, width)[rows, None], width, axis=1)
     rays = direction(altitudes[rows, None], azimuths[None, :])
-    clipped = np.zeros(light.shape, bool) if clipped is None else clipped
-    sizes = pixel_rad, reach_rad, ring_rad
-    return _Band(light.shape, rows, light[rows], solid_sr, rays, clipped[rows], *sizes)
+    lit, clipped = light[rows], clipped[rows]
+    return _Band(light.shape, rows, lit, solid_sr, rays, clipped, pixel_rad, reach_rad, ring_rad)
 
 
 def _measured_disc(band: _Band, search: Mask) -> SunDisc | None:
@@ -218,7 +223,7 @@ def _clipped_disc(band: _Band, search: Mask, towards: Floats) -> SunDisc | None:
 
     A compact clipped spot is the disc. If a larger area is clipped (a window in a bracket that is
     too short), nothing can be measured: the sun is at its expected position if the map is clipped
-    there.
+    there. search: mask of the band near `towards`, the expected direction.
     """
     spot = band.clipped & search
     centre = band.centroid(spot, np.ones_like(band.light))
@@ -236,17 +241,19 @@ def _disc_at(
 ) -> SunDisc:
     """Return the light within `reach_rad` of a centre, in excess of the surroundings, as a disc.
 
-    A pixel belongs to it if it is 5 % brighter than the ring's quantile 0.9, so that bars and walls
-    in the ring do not make the sky a part of the sun, and has 5 % of the brightest pixel's excess:
-    dimmer pixels are the bright sky around the sun.
+    centre: unit vector; clipped: count the band's clipped pixels as part of it; measured: move the
+    centre to the centroid of the light, and state its uncertainty. A pixel belongs to it if it is 5
+    % brighter than the ring's quantile 0.9, so that bars and walls in the ring do not make the sky
+    a part of the sun, and has 5 % of the brightest pixel's excess: dimmer pixels are the bright sky
+    around the sun.
     """
     angle = band.angle_rad(centre)
     ring = (angle > reach_rad) & (angle <= reach_rad + band.ring_rad)
     around = band.light[ring]
     surroundings = float(np.median(around)) if around.size else 0.0
     bright = float(np.quantile(around, 0.9)) if around.size else 0.0
-    near = angle <= reach_rad
-    excess = np.where(near, band.light - surroundings, 0.0)
+    within_reach = angle <= reach_rad
+    excess = np.where(within_reach, band.light - surroundings, 0.0)
     part = min(0.05 * float(excess.max(initial=0.0)), _BRIGHTEST_SKY_CDM2)
     inside = (band.light > 1.05 * bright) & (excess > part)
     excess = np.where(inside, excess, 0.0)
@@ -255,7 +262,7 @@ def _disc_at(
     if measured and inside.any():
         centre = band.centroid(inside, excess)
     if clipped:
-        inside = inside | (near & band.clipped)
+        inside = inside | (within_reach & band.clipped)
     pixels = np.zeros(band.shape, bool)
     pixels[band.rows] = inside
     altitude_deg, azimuth_deg = (float(angle) for angle in altitude_azimuth_deg(centre))
@@ -273,7 +280,8 @@ def _disc_at(
 def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:
     """Return whether a spot is too bright and has too much energy for a surface or a sky.
 
-    Less than 2 % of the sun's illuminance by DNI is scattered light, not part of the sun.
+    Less than 2 % of the sun's illuminance by DNI is scattered light, not part of the sun. dni_wm2:
+    direct irradiance, None if unknown.
     """
     inside = disc.pixels[band.rows]
     if not inside.any():

@@ -128,6 +128,10 @@ def distance_km(a: Site, b: Site) -> float:
 
 
 def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
+    """Return a note if the file's place is over `NEAR_KM` from the site; place: None for unknown.
+
+    Raises InputError beyond `FAR_KM`.
+    """
     if place is None or (away := distance_km(place, site)) <= NEAR_KM:
         return []
     if away > FAR_KM:
@@ -233,11 +237,14 @@ def _fill_gaps(path: Path, year: Weather, rows: list[WeatherRow], repairs: list[
 
 
 def _missing_hours(times: list[datetime], typical: bool) -> tuple[list[datetime], list[datetime]]:
-    """Return the hours to interpolate and the hours to leave out."""
+    """Return the hours to interpolate and the hours to leave out.
+
+    times: of the rows, in order, an hour apart except for gaps; typical: of a typical year.
+    """
     filled: list[datetime] = []
     left_out: list[datetime] = []
-    for a, b in pairwise(times):
-        gap = [a + _HOUR * (k + 1) for k in range(round((b - a) / _HOUR) - 1)]
+    for before, after in pairwise(times):
+        gap = [before + _HOUR * k for k in range(1, round((after - before) / _HOUR))]
         (filled if len(gap) <= FILLED_GAP_HOURS else left_out).extend(gap)
     if typical:  # a typical year has 8760 hours, from local midnight to local midnight
         lacking = 8759 - round((times[-1] - times[0]) / _HOUR)

@@ -122,9 +122,10 @@ def _number(name: str, text: str) -> float:
 def _columns(
     path: Path, names: Cells, headings: Mapping[str, set[str]] = _HEADINGS
 ) -> dict[str, int]:
-    """Return the column of each quantity: dni, dhi, and ghi if the file has it.
+    """Return the column of each quantity, from 0: dni, dhi, and ghi if the file has it.
 
-    Raises InputError if one is missing, or if several columns have the same quantity.
+    names: the file's column headings; headings: by quantity, the letters of a heading that is of
+    it. Raises InputError if one is missing, or if several columns have the same quantity.
     """
     columns: dict[str, int] = {}
     letters = [re.sub("[^a-z]", "", strict_csv.split_heading(name)[0].lower()) for name in names]
@@ -148,15 +149,17 @@ def _rows(
     when: Callable[[Cells], datetime],
     names: Cells = (),
 ) -> list[WeatherRow]:
-    """Return the rows of a file; when: the time that the cells of a line state.
+    """Return the rows of a file.
 
-    Raises InputError, with the line, for a cell that cannot be read.
+    lines: line numbers and cells; columns: the column of each quantity, from 0; when: the time that
+    the cells of a line state; names: the file's column headings, for errors. A quantity without a
+    column is NaN. Raises InputError, with the line, for a cell that cannot be read.
     """
-    headings = {q: names[k] if names else q.upper() for q, k in columns.items()}
+    headings = {name: names[k] if names else name.upper() for name, k in columns.items()}
     missing, rows = dict.fromkeys(_HEADINGS, math.nan), []
     for line, cells in lines:
         try:
-            light = {q: _number(headings[q], cells[k]) for q, k in columns.items()}
+            light = {name: _number(headings[name], cells[k]) for name, k in columns.items()}
             rows.append(WeatherRow(line, when(cells), **missing | light))
         except _CellError as error:
             found, expected = error.args
@@ -167,7 +170,10 @@ def _rows(
 def _below(
     path: Path, lines: list[str], header: int, mark: str = ","
 ) -> tuple[list[str], list[tuple[int, tuple[str, ...]]]]:
-    """Return the column names in line `header` (from 0), and the rows below them."""
+    """Return the column names in line `header` (from 0), and the rows below them.
+
+    A row is its line number, from 1, and its cells; mark: what separates cells.
+    """
     if len(lines) <= header:
         raise InputError(path, f"{len(lines)} lines", "a line of column names", _AGAIN)
     names = strict_csv.split_header(path, (header + 1, lines[header].lstrip("# ")), mark)
@@ -177,10 +183,12 @@ def _below(
 
 
 def _place(path: Path, cells: Sequence[Any], expected: str, name: str) -> tuple[Site, timedelta]:
-    """Return a place and its clock from latitude, longitude, altitude and zone, 0 or None for UTC.
+    """Return a place and its clock minus UTC.
 
-    Raises InputError if they are no numbers, or if the zone of a local clock is further from the
-    longitude than western China's, 3.3 h, the extreme of the zones in use.
+    cells: latitude, longitude, altitude and zone in hours, as text or numbers, None for 0;
+    expected: for the error; name: of the place. Raises InputError if they are no numbers, or if the
+    zone of a local clock is further from the longitude than western China's, 3.3 h, the extreme of
+    the zones in use.
     """
     try:
         latitude, longitude, altitude, zone = (float(0 if cell is None else cell) for cell in cells)
@@ -212,7 +220,10 @@ def _header_place(
 
 
 def _moment(date: Cells, hour: str, minute: str = "0") -> datetime:
-    """Return the time of year, month and day, an hour of 0 to 24 and a minute."""
+    """Return the time of year, month and day, an hour of 0 to 24 and a minute, all as texts.
+
+    Raises _CellError for a date that does not exist.
+    """
     try:
         year, month, day = (int(float(text)) for text in date)
         hours = float(hour) + float(minute) / 60.0
@@ -444,7 +455,10 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
 
 
 def _read_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a json of PVGIS or Open-Meteo, which has the content of the csv."""
+    """Return the rows of a json of PVGIS or Open-Meteo, which has the content of the csv.
+
+    It is written as the lines of that csv, which the reader of the csv then reads.
+    """
     kinds = (KeyError, IndexError, TypeError, AttributeError, ValueError, RecursionError)
     with input_errors(path, "json of PVGIS with outputs of each hour", _AGAIN, *kinds):
         answer = json.loads("\n".join(lines))

@@ -67,17 +67,17 @@ def _label_shift_min(weather: Weather, station: _Sun) -> float | None:
 def _morning_excess(dni_wm2: Floats, station: _Sun, shift_min: float) -> float:
     """Return by how much clear mornings exceed clear afternoons at the same altitude, -1 to 1.
 
-    Clear hours are those at the quantile 0.8 of DNI. shift_min : added to all times. NaN without an
-    altitude at which both have enough hours.
+    dni_wm2 [n], station: of the file's hours. Clear hours are those at the quantile 0.8 of DNI.
+    shift_min : added to all times. NaN without an altitude at which both have enough hours.
     """
     altitude, morning = station.altitude_deg(shift_min), station.is_morning(shift_min)
     excess = []
     for low, high in pairwise(_ALTITUDES_DEG):
         inside = (altitude >= low) & (altitude < high)
-        halves = dni_wm2[inside & morning], dni_wm2[inside & ~morning]
-        if min(map(len, halves)) >= MIN_HOURS:
-            a, b = (float(np.quantile(values, 0.8)) for values in halves)
-            excess.append((a - b) / max(a + b, 20.0))  # darker hours decide nothing
+        mornings, afternoons = dni_wm2[inside & morning], dni_wm2[inside & ~morning]
+        if min(len(mornings), len(afternoons)) >= MIN_HOURS:
+            before, after = float(np.quantile(mornings, 0.8)), float(np.quantile(afternoons, 0.8))
+            excess.append((before - after) / max(before + after, 20.0))  # dark hours decide nothing
     return float(np.mean(excess)) if excess else float("nan")
 
 
@@ -107,7 +107,7 @@ MIN_CONTRADICTIONS = 12  # in files of a few days fewer decide nothing; not meas
 _LABELS = "check the time zone, and whether a row's time is its hour's start, middle or end"
 _CORRECT_COLUMNS = "write the right columns, in W/m2"
 STANDARD_TIME = "write standard time"
-_SEASONS = (6, 7, 8), (12, 1, 2)  # no country sets its clocks within these months
+_SEASONS = ((6, 7, 8), (12, 1, 2))  # no country sets its clocks within these months
 
 
 def check_plausible(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) -> list[str]:
@@ -159,7 +159,8 @@ def _wrong_column(
 ) -> tuple[str, str, str] | None:
     """Return what shows that a column has another component, what is expected, and the cause.
 
-    total : DHI + DNI sin(altitude), [n]. None if nothing shows it.
+    altitude : of the sun [n] deg; total : DHI + DNI sin(altitude) [n] W/m2; ghi_wm2 : the file's
+    own [n], NaN without. None if nothing shows it.
     """
     up, dni, dhi = altitude > sun.CLEAR_SUN_DEG, weather.dni_wm2, weather.dhi_wm2
     top = sun.extraterrestrial_wm2(weather.t_utc)
@@ -198,8 +199,9 @@ def _wrong_column(
 def _horizontal_beam(dni_wm2: Floats, altitude: Floats) -> tuple[str, str, str] | None:
     """Return what `_wrong_column` does if the direct irradiance [n] is that of a horizontal plane.
 
-    altitude : of the sun, [n], deg. It is compared with clear skies as hazy as its level states.
-    None otherwise, for a year without bright direct light, and where low suns are hidden.
+    dni_wm2 : as the file states it; altitude : of the sun, [n], deg. It is compared with clear
+    skies as hazy as its level states. None otherwise, for a year without bright direct light, and
+    where low suns are hidden.
     """
     from pvlib import atmosphere, clearsky
 
@@ -210,8 +212,8 @@ def _horizontal_beam(dni_wm2: Floats, altitude: Floats) -> tuple[str, str, str] 
         return None
 
     def strongest(dni: Floats) -> tuple[float, float]:
-        of_low, of_high = (float(np.quantile((dni / sine)[some], 0.98)) for some in (low, high))
-        return of_low / max(of_high, 1e-9), float(np.quantile(dni[high], 0.98))
+        of_low, of_high = (np.quantile((dni / sine)[part], 0.98) for part in (low, high))
+        return float(of_low / max(of_high, 1e-9)), float(np.quantile(dni[high], 0.98))
 
     zenith = 90.0 - altitude
     air_mass = np.asarray(atmosphere.get_relative_airmass(zenith))
@@ -229,9 +231,9 @@ def _horizontal_beam(dni_wm2: Floats, altitude: Floats) -> tuple[str, str, str] 
 def _check_labels(path: Path, weather: Weather, station: _Sun, place: Site) -> str:
     """Raise InputError if many hours are lit before sunrise, or dark after it, with the cause.
 
-    Another time of the labels or zone if it explains them; else a column with light at midnight, or
-    another place. Fewer hours that no shift explains are described in the result, which is ""
-    without any.
+    station: the sun of the file's hours; place: for errors. Another time of the labels or zone if
+    it explains them; else a column with light at midnight, or another place. Fewer hours that no
+    shift explains are described in the result, which is "" without any.
     """
     light = weather.dni_wm2 + weather.dhi_wm2
     _check_summer_time(path, weather, light, station)
@@ -270,18 +272,22 @@ def _check_labels(path: Path, weather: Weather, station: _Sun, place: Site) -> s
 
 
 def _check_summer_time(path: Path, weather: Weather, light: Floats, station: _Sun) -> None:
-    """Raise InputError if only shifts an hour apart explain sunrise and sunset of the seasons."""
+    """Raise InputError if only shifts an hour apart explain sunrise and sunset of the seasons.
+
+    light: DNI + DHI of each hour [n] W/m2; station: the sun of these hours.
+    """
     months = np.array([t.month for t in weather.t_utc])
     against = [
         {m: _against(light, station, m, np.isin(months, season)) for m in range(-180, 181, 15)}
         for season in _SEASONS
     ]
+    # shift of each season with the fewest contradictions, the middle one of several
     middles = (np.median([m for m in c if c[m] == min(c.values())]) for c in against)
-    best = [15 * round(float(m) / 15) for m in middles]
-    exchanged = min(against[0][best[1]], against[1][best[0]])
-    own = max(against[0][best[0]], against[1][best[1]])
-    if abs(abs(best[0] - best[1]) - 60) <= 15 and exchanged > max(4 * own, MIN_CONTRADICTIONS):
-        moved = f"{best[0]:+d} min, and from December to February by {best[1]:+d} min"
+    summer, winter = (15 * round(float(middle) / 15) for middle in middles)
+    exchanged = min(against[0][winter], against[1][summer])
+    with_own = max(against[0][summer], against[1][winter])
+    if abs(abs(summer - winter) - 60) <= 15 and exchanged > max(4 * with_own, MIN_CONTRADICTIONS):
+        moved = f"{summer:+d} min, and from December to February by {winter:+d} min"
         found = f"sunrise and sunset agree from June to August if rows are moved by {moved}"
         remedy = f"{STANDARD_TIME} in all rows: the file's clock follows summer time"
         raise InputError(path, found, "one clock in all months", remedy)

@@ -111,6 +111,7 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
     session = picture.session
 
     def about(request: Request) -> Response:
+        """Answer with the panorama's size and scale, and whether the site has a room."""
         setup, path = session.site_file(), session.panorama(picture.slot)
         answer = {
             "name": setup.site.name,

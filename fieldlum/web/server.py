@@ -167,6 +167,7 @@ def picture_routes(session: Session) -> list[Route]:
     """Return the routes of a session's panoramas in false colour (PNG), and of their scale."""
 
     def picture(request: Request) -> Response:
+        """Answer with a panorama as PNG, in false colours from `low` to `high` cd/m2."""
         slot = request.path_params["slot"]
         try:
             low, high = (float(request.query_params[name]) for name in ("low", "high"))
@@ -204,6 +205,7 @@ def watch_routes(
         return {**snapshots.state(), "answer": " ".join([str(written), *doing])}
 
     def day(request: Request) -> Response:
+        """Answer with the irradiance and slots of a local day."""
         try:
             wanted = date.fromisoformat(request.path_params["day"])
         except ValueError:

@@ -327,6 +327,7 @@ class Snapshots:
     def __init__(
         self, session: Session, wall_clock: Callable[[], datetime] = lambda: datetime.now(UTC)
     ) -> None:
+        """Watch a session; wall_clock: the time in UTC."""
         self._session, self._wall_clock = session, wall_clock
         self._lock = threading.Lock()
         self._journal, folder = JournalFollower(session.journal), session.irradiance
@@ -429,6 +430,7 @@ class Snapshots:
     # parts
 
     def _present(self) -> _Present:
+        """Return journal, plan and states now; a rehearsal has its own time, in the future."""
         journal, slots = self._journal.update(), self._slots()
         now = self._wall_clock()
         last = journal.states.last_utc or now
@@ -469,6 +471,7 @@ class Snapshots:
         return states
 
     def _slot_row(self, slot: Slot, present: _Present) -> JsonTable:
+        """Return what the page shows of a slot."""
         local = slot.t_utc.astimezone(self._zone)
         return {
             "slot": slot.id,
@@ -500,6 +503,7 @@ class Snapshots:
         return sidecar.verdict if sidecar is not None else without_sidecar
 
     def _devices(self, journal: JournalFollower) -> JsonTable:
+        """Return camera, battery and clock by the session, and since when devices are away."""
         table = self._session.table().get("devices", {})
         camera = table.get("camera", {})
         offset_s = camera.get("clock_offset_s")

@@ -161,13 +161,18 @@ class SimulatedCamera(Camera):
         clock_offset_s: float = 0.0,
         overhead_s: float | None = None,
     ) -> None:
+        """Point a camera at `world`.
+
+        heading_deg: clockwise from north; seed: of the noise; clock_offset_s: of its own clock;
+        overhead_s: time that a frame takes next to its exposure, None for the profile's.
+        """
         self._world, self._profile, self._clock = world, profile, clock
         self._heading_deg, self._seed = heading_deg, seed
         self._clock_offset_s = clock_offset_s
         self._overhead_s = profile.bracket.seconds_per_frame if overhead_s is None else overhead_s
         body, lens = profile.camera, profile.lens[0].name
         self._shape, self._is_jpeg = (body.height_px, body.width_px), body.kind == "jpeg"
-        about = "sim", body.make, body.model, f"SIM{seed:04d}"
+        about = ("sim", body.make, body.model, f"SIM{seed:04d}")
         self.info = CameraInfo(*about, lens=lens, clock_offset_s=clock_offset_s)
         self._shading = lru_cache(maxsize=8)(self._shading_of)
         self._last: tuple[Panorama, float, Floats32] | None = None

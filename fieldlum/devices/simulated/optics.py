@@ -179,7 +179,7 @@ def _add_sun(image: Floats32, panorama: Panorama, sun: SunSource, lens: LensGeom
     share = blurred.reshape(2 * reach, fine, 2 * reach, fine).sum(axis=(1, 3))
     omega = pixel_solid_angle_sr(lens, columns[None, :] + 0.5, rows[:, None] + 0.5)
     value = share / share.sum() * sun.normal_illuminance_lx / np.maximum(omega, 1e-12)
-    fits = (rows >= 0) & (rows < image.shape[0]), (columns >= 0) & (columns < image.shape[1])
+    fits = ((rows >= 0) & (rows < image.shape[0]), (columns >= 0) & (columns < image.shape[1]))
     value = np.where(omega > 0, value, 0.0)[np.ix_(*fits)]
     image[np.ix_(rows[fits[0]], columns[fits[1]])] += value[..., None].astype(np.float32)
 

@@ -116,6 +116,7 @@ class Office:
     """
 
     def __init__(self, setup: SiteFile | None = None, seed: int = 1) -> None:
+        """Use the room of `setup`, or `OFFICE` if that is no box with windows; seed: of clouds."""
         self.setup = setup or SiteFile(SEATTLE, CameraSetup(), OFFICE)
         room = self.setup.room
         self._room = room if room is not None and room.kind == "box" and room.window else OFFICE

@@ -102,6 +102,7 @@ def serialised(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, An
     """Return a dataclass as plain values for config.json, by field name, for `deserialised`.
 
     Arrays of any shape are added to `arrays`; their field has the name PREFIX followed by a number.
+    part: the dataclass.
     """
 
     def of_array(value: Array) -> str:

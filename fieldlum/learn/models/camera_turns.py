@@ -158,6 +158,11 @@ class _RoomEdges:
     """The room's edges at the m pixels where they are strongest, and how a turn changes them."""
 
     def __init__(self, edges: Array, seen_mask: Mask, heading_deg: float) -> None:
+        """Choose the pixels, and compute how a turn of one degree changes their edges.
+
+        edges: the room's, by `_edges_of` [2, H, W]; seen_mask: pixels that a lens saw [H, W];
+        heading_deg: azimuth of the maps' centre column.
+        """
         height, width = seen_mask.shape
         strength = np.hypot(edges[0], edges[1])
         # above it columns are very narrow; below -70 the tripod is in the picture
@@ -170,8 +175,8 @@ class _RoomEdges:
         row, column = np.divmod(self.pixels, width)
         tile = row * _TILES[0] // height * _TILES[1] + column * _TILES[1] // width
         # each derivative of a tile has its own contrast
-        both = np.concatenate((tile, tile + tile.max() + 1))
-        self.tiles = np.unique(both, return_inverse=True)[1]  # [2 m]
+        derivative_tile = np.concatenate((tile, tile + tile.max() + 1))
+        self.tiles = np.unique(derivative_tile, return_inverse=True)[1]  # [2 m]
         slopes = np.stack([np.stack(np.gradient(edge)) for edge in edges])  # [2, 2, H, W]
         moves = _motion_px((height, width), heading_deg)
         changes = [-(slopes * move).sum(axis=1) for move in moves]
@@ -196,11 +201,11 @@ class _RoomEdges:
         fit = fit_turn(self.changes, values, self.tiles, weights=self.weights, contrasts=contrasts)
         # uncertainty of a turn that the edges do not determine
         turn, covariance = fit or (np.zeros(3), np.full((3, 3), 180.0**2))
-        both, own, room = (
+        shared, own, room = (
             np.bincount(self.tiles, product)
             for product in (values * self.values, values**2, self.values**2)
         )
-        correlation = float(np.median(both / np.sqrt(np.maximum(own * room, 1e-24))))
+        correlation = float(np.median(shared / np.sqrt(np.maximum(own * room, 1e-24))))
         return turn, np.sqrt(np.diag(covariance)), correlation
 
 
@@ -266,7 +271,10 @@ def camera_turns(luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float) ->
 
 
 def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:
-    """Return one turn for all captures of a pose [n, 3]; zero for an uncertain one.
+    """Return one turn for all captures of a pose [n, 3] deg; zero for an uncertain one.
+
+    angles: the turn of each capture [n, 3] deg; aligned: whether it is reliable [n]; pixel_deg:
+    size of a pixel.
 
     A camera stays as it is until it is moved. So the order of time is cut into poses by the least
     sum of squares plus MOVE_COST for each cut (Potts model, by dynamic programming).

@@ -143,7 +143,7 @@ class Inputs:
         0.5 at south and 0.75 at west.
         """
         azimuth_deg = signed_angle_deg(light.sun_azimuth_deg - 180.0) + 180.0
-        columns = light.sun_altitude_deg, azimuth_deg, light.dni_wm2, light.dhi_wm2
+        columns = (light.sun_altitude_deg, azimuth_deg, light.dni_wm2, light.dhi_wm2)
         scaled = np.stack(columns, axis=1) / (90.0, 360.0, 1100.0, 700.0)
         device = self.pixel.device
         sky = np.pad(encode(light.sky_cdm2), ((0, 0), (0, 1)))
@@ -398,17 +398,19 @@ class Trainer:
         """Update the weights once by the exact gradient of the batch's loss; return that loss.
 
         numbers: indices of the batch's pairs; rate: learning rate; loss: `loss_value`. If the loss
-        is NaN, the weights did not change.
+        is NaN, the weights did not change. With E and T the weighted squared errors and targets of
+        n pixels, the loss is E / n + 10 sqrt(E / T), so its gradient is that of E times 1 / n +
+        5 / sqrt(E T). Each process differentiates its own part of E, and the parts are summed.
         """
         self.optimiser.param_groups[0]["lr"] = rate
         self.optimiser.zero_grad()
-        own = self.sums(self.pixels, numbers)
-        parts = sum_over_ranks(own.detach().double())
+        own_parts = self.sums(self.pixels, numbers)  # of this process
+        parts = sum_over_ranks(own_parts.detach().double())
         error, target, count = parts.tolist()
         if not math.isfinite(error):
             return math.nan
         factor = 1.0 / count + 5.0 / math.sqrt(max(error * target, 1e-24))
-        (factor * own[0]).backward()
+        (factor * own_parts[0]).backward()
         for parameter in self.net.parameters():
             if parameter.grad is not None:
                 sum_over_ranks(parameter.grad)
@@ -522,7 +524,7 @@ def fit(
     an existing one is continued, with its length; None for none. shape: widths of the network's
     layers. Raises InputError for a checkpoint that cannot be used, and as `affordable_run`.
     """
-    started = time.monotonic(), time.process_time()
+    started = (time.monotonic(), time.process_time())
     device = pick_device()
     if world() > 1 and not dist.is_initialized():
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
@@ -540,7 +542,7 @@ def fit(
     mark = data_digest(data.digest(), patch, seed, shape)
     if checkpoint is not None and checkpoint.is_file():
         run, best = restore(checkpoint, trainer, mark)
-    started = started[0] - run.elapsed_s, started[1] - run.cpu_s
+    started = (started[0] - run.elapsed_s, started[1] - run.cpu_s)
     numbers = torch.randperm(len(held_out), generator=torch.Generator().manual_seed(seed))[:60_000]
     while run.share(budget_s) < 1.0:
         _epoch(trainer, run, best, budget_s, seed, started[0])
@@ -579,7 +581,10 @@ def _epoch(
 ) -> None:
     """Update the weights until the epoch or the time ends; a loss that is no number restores best.
 
-    The random order depends only on the epoch: a resumed training has the same batches.
+    trainer, run: changed in place; best: the weights of the smallest validation loss so far;
+    budget_s: time limit of the training, None for none; start_s: time.monotonic() at its start;
+    seed: of the random order, which depends on the epoch only: a resumed training has the same
+    batches.
     """
     chance, device = torch.Generator(), trainer.pixels.target.device
     chance.manual_seed(seed * 1_000_003 + run.epoch)

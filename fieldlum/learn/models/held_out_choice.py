@@ -87,13 +87,14 @@ def difference(candidate: HeldOutErrors, other: HeldOutErrors, name: str) -> tup
     error is that of the trimmed mean, by winsorised differences (Tukey and McLaughlin 1963), where
     only days are independent; it is 0 with one day. At least one hour must have the errors of both.
     """
-    a, b = getattr(candidate, name), getattr(other, name)
-    rows = np.isfinite(a) & np.isfinite(b) & (candidate.weight > 0.0)
-    a, b, weight, day = a[rows], b[rows], candidate.weight[rows], candidate.day[rows]
+    own, others = getattr(candidate, name), getattr(other, name)  # errors of each hour [n]
+    rows = np.isfinite(own) & np.isfinite(others) & (candidate.weight > 0.0)
+    own, others, weight = own[rows], others[rows], candidate.weight[rows]
     trim = candidate.trim
-    mean = trimmed_mean(a, weight, trim) - trimmed_mean(b, weight, trim)
-    cut_a, cut_b = (np.minimum(v, limit_of(v, weight, trim)) for v in (a, b))  # winsorised
-    error = standard_error((cut_a - cut_b) * weight / weight.mean(), day)
+    mean = trimmed_mean(own, weight, trim) - trimmed_mean(others, weight, trim)
+    winsorised = np.minimum(own, limit_of(own, weight, trim))
+    differences = winsorised - np.minimum(others, limit_of(others, weight, trim))
+    error = standard_error(differences * weight / weight.mean(), candidate.day[rows])
     return mean, float(np.nan_to_num(error)) / (1.0 - trim)
 
 

@@ -195,7 +195,8 @@ def find_mirrors(
 def _best_mirror(rest: Sequence[SunImage], suns: Floats, height: int) -> MirrorPlane | None:
     """Return the mirror with the most images among some spots; None if no normal is certain.
 
-    It must explain the places of the spots twice as well as one fixed place does.
+    It must explain the places of the spots twice as well as one fixed place does. suns: directions
+    of the sun by capture [n, 3]; height: rows of the panorama.
     """
     if len(rest) < _FEWEST_CAPTURES:
         return None

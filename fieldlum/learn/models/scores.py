@@ -225,7 +225,11 @@ def compare(prediction: Prediction, data: Dataset) -> Scores:
 def _glare_errors(
     scores: Scores, prediction: Prediction, part: Dataset, test: Truth, rows: Array
 ) -> None:
-    """Add to the scores what needs glare, for the maps of `part` for which it is computed."""
+    """Add to the scores what needs glare, for the maps of `part` for which it is computed.
+
+    prediction: of the n hours of `part`; test: the captured values of all hours; rows: the indices
+    of the hours of `part` in it [n].
+    """
     with_glare = test.glare_maps[rows]
     if not with_glare.any():
         return
@@ -233,14 +237,14 @@ def _glare_errors(
     suns = judged.light.apparent_sun_direction
     glare = metrics.glare_directions(maps, test.views, suns, judged.disc_lx)
     true_dgp, true_ev = test.dgp[rows[with_glare]], test.ev_lx[rows[with_glare]]
-    own_lx = test.own_disc_lx[rows[with_glare]]
-    disc = metrics.sun_per_lx(suns, test.views), own_lx
-    in_use = metrics.dgp(*metrics.with_disc(glare, disc))
+    # DGP with the disc that the model would use, instead of the captured one.
+    own_disc = (metrics.sun_per_lx(suns, test.views), test.own_disc_lx[rows[with_glare]])
+    own_disc_dgp = metrics.dgp(*metrics.with_disc(glare, own_disc))
 
     def mean(values: Floats) -> Floats:
         return values[:, test.full].mean(axis=1)
 
-    scores.dgp_mse_own_disc[with_glare] = mean((in_use - true_dgp) ** 2)
+    scores.dgp_mse_own_disc[with_glare] = mean((own_disc_dgp - true_dgp) ** 2)
     scores.dgp_mse[with_glare] = mean((glare["dgp"] - true_dgp) ** 2)
     scores.dgp_mae[with_glare] = mean(np.abs(glare["dgp"] - true_dgp))
     scores.ev_error[with_glare] = mean(np.abs(np.log((glare["ev_lx"] + 1.0) / (true_ev + 1.0))))

@@ -330,7 +330,7 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
     maps = np.nan_to_num(data.luminance_cdm2)
     turns = camera_turns(maps, data.seen, heading)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
-        at = float(light.apparent_altitude_deg[k]), float(azimuth[k])
+        at = (float(light.apparent_altitude_deg[k]), float(azimuth[k]))
         take_disc_out(data, k, at, shown_place(*at, heading, turns.angles_deg[k]))
     notes += _notes_on_axes(path, data)
     assert data.counts is not None
@@ -358,7 +358,7 @@ def _notes_on_axes(path: Path, data: Dataset) -> list[str]:
     """
     light, suns, shown = data.light, [], []
     for k in np.flatnonzero(light.direct_lx > BEAM_LX):
-        at = float(light.apparent_altitude_deg[k]), float(light.sun_azimuth_deg[k])
+        at = (float(light.apparent_altitude_deg[k]), float(light.sun_azimuth_deg[k]))
         beam_lx = float(light.direct_lx[k])
         place = sun_elsewhere(data.luminance_cdm2[k], data.heading_deg, beam_lx)
         if place is None and data.disc_lx[k] > DISC_SHARE * beam_lx:
@@ -456,7 +456,7 @@ def read_pictures(
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
     first = read_panorama(pictures[0])
     shape, heading = first.luminance_cdm2.shape, _heading(first, pictures[0], setup)
-    alike = shape, heading
+    size_and_heading = (shape, heading)  # of all pictures
     with_patch = sum(bool(row.sunpatch) for row in rows)
     if 0 < with_patch < len(rows):
         bare = next(row.line for row in rows if not row.sunpatch)
@@ -465,27 +465,27 @@ def read_pictures(
         raise InputError(path, finding, "a sunpatch in all rows or in none", remedy)
     maps = np.empty((len(rows), *shape), np.float32)
     patches = np.empty_like(maps) if with_patch else None
-    disc, bounds = np.zeros(len(rows)), 0
+    disc_lx, clipped_count = np.zeros(len(rows)), 0
     masks, counts = np.empty(maps.shape, bool), np.empty(maps.shape, np.float16)
     for k, row in enumerate(rows):
         progress(k, len(rows), pictures[k].name)
         panorama = read_panorama_with_sun(pictures[k], suns[pictures[k].parent])
-        panorama = _checked(panorama, pictures[k], alike, setup)
-        bounds += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
+        panorama = _checked(panorama, pictures[k], size_and_heading, setup)
+        clipped_count += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
         maps[k], masks[k] = panorama.luminance_cdm2, np.isfinite(panorama.seen_cdm2)
         counts[k] = pixel_counts(panorama)
-        disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
+        disc_lx[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if patches is not None:
             source = path.parent / row.sunpatch
             warn_if_changed(source, "pair")
-            patch = _checked(read_panorama(source), source, alike, setup)
+            patch = _checked(read_panorama(source), source, size_and_heading, setup)
             patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
             if patch.sun and not panorama.sun and not row.sun_in_map:
-                disc[k] = patch.sun.normal_illuminance_lx
+                disc_lx[k] = patch.sun.normal_illuminance_lx
     progress(len(rows), len(rows), "")
     clipped = (
-        f"the sun is clipped in {counted(bounds, 'map')}: its illuminance there is only a lower "
-        "bound; run fieldlum pair, and read its cautions"
+        f"the sun is clipped in {counted(clipped_count, 'map')}: its illuminance there is only a "
+        "lower bound; run fieldlum pair, and read its cautions"
     )
     days = [sun.standard_date(t, setup.site.timezone) for t in light.t_utc]
     uncertain = np.array([row.doubtful for row in rows])
@@ -493,7 +493,7 @@ def read_pictures(
         light=light,
         luminance_cdm2=maps,
         patch_cdm2=patches,
-        disc_lx=disc,
+        disc_lx=disc_lx,
         heading_deg=heading,
         days=np.array(days, "datetime64[D]"),
         slots=_slots(rows),
@@ -501,7 +501,7 @@ def read_pictures(
         seen=masks.mean(axis=0) > 0.8,  # of the captures, before the camera's turns
         steadiness=np.array([row.steadiness for row in rows]),
         source=str(path),
-        notes=(clipped,) if bounds else (),
+        notes=(clipped,) if clipped_count else (),
         counts=counts,
         disc_deg=np.full((len(rows), 2), np.nan),
         uncertain=uncertain if uncertain.any() else None,
@@ -519,14 +519,18 @@ def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
 
 
 def _checked(
-    panorama: Panorama, path: Path, alike: tuple[tuple[int, ...], float], setup: SiteFile
+    panorama: Panorama, path: Path, first: tuple[tuple[int, ...], float], setup: SiteFile
 ) -> Panorama:
-    """Return a picture if it has size and heading of the first row's, else raise InputError."""
-    heading, (height, width) = _heading(panorama, path, setup), panorama.luminance_cdm2.shape
-    if (height, width) != alike[0]:
-        found, wanted = f"{width} x {height} pixels", f"{alike[0][1]} x {alike[0][0]} pixels"
-    elif abs(signed_angle_deg(heading - alike[1])) > 0.01:
-        found, wanted = f"a heading of {heading:g} deg", f"{alike[1]:g} deg"
+    """Return a picture if it has size and heading of the first row's, else raise InputError.
+
+    first: the first picture's size (rows, columns) and heading [deg].
+    """
+    heading = _heading(panorama, path, setup)
+    size, (first_size, first_heading) = panorama.luminance_cdm2.shape, first
+    if size != first_size:
+        found, wanted = (f"{columns} x {rows} pixels" for rows, columns in (size, first_size))
+    elif abs(signed_angle_deg(heading - first_heading)) > 0.01:
+        found, wanted = f"a heading of {heading:g} deg", f"{first_heading:g} deg"
     else:
         return panorama
     remedy = "merge all brackets at one size and heading, then run fieldlum pair again"

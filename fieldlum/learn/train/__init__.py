@@ -182,7 +182,10 @@ def is_baseline(trial: Trial) -> bool:
 
 
 def _reason(trial: Trial, others: Sequence[Trial]) -> str:
-    """Return the figures of a trial next to those of the others, and what decided."""
+    """Return the figures of a trial next to those of the others, and what decided.
+
+    trial: the chosen one.
+    """
     own = trial.scores.errors
     hours = f"{counted(own.judged, 'held-out hour')} of {counted(len(np.unique(own.day)), 'day')}"
     if not others:
@@ -396,12 +399,14 @@ def _model_sha256(folder: Path) -> str:
 def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
     """Return notes on the skies of a light transport model's fit, and on an unused stated room.
 
-    data: the captures of the fit. The list is empty without such facts and for other models.
+    data: the captures of the fit. The list is empty without such facts and for other models. patch:
+    with "none" no room is needed.
     """
     notes, captured = [], getattr(getattr(fitted, "fitted", fitted), "captured", None)
     if captured is not None:
-        skies = (np.maximum(v, 1e-9) for v in (captured.sky, light_features(data.light).sky))
-        sd = float(np.subtract(*map(np.log, skies)).std(axis=0).max())
+        seen = np.log(np.maximum(captured.sky, 1e-9))
+        expected = np.log(np.maximum(light_features(data.light).sky, 1e-9))
+        sd = float((seen - expected).std(axis=0).max())
         if sd > 0.0:
             notes.append(
                 f"the sky in the windows was up to {math.expm1(sd):.0%} (one standard deviation) "

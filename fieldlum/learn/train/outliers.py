@@ -116,17 +116,19 @@ class Evidence:
     """
 
     def __init__(self, process: Process, rows: Indices) -> None:
+        """Prepare the captures `rows` [k] of a process, for each variance of `_NOISES`."""
         self.process, self.rows = process, rows
         self.level = np.median(process.y, axis=1)  # the shape of a factor on the light
         covariance = process.covariance[np.ix_(rows, rows)]
         spread = process.spread[rows]
-        self.inverses = [np.linalg.inv(covariance + np.diag(v * spread)) for v in _NOISES]
+        self.inverses = [np.linalg.inv(covariance + np.diag(noise * spread)) for noise in _NOISES]
         self.weights = [inverse @ process.y[rows] for inverse in self.inverses]  # [k, P] each
         self.squares = [(w * process.y[rows]).sum(axis=0) for w in self.weights]  # [P] each
         self.volumes = [np.linalg.slogdet(inverse)[1] for inverse in self.inverses]
         self.usual = float(self._likelihood(self.squares).max())
 
     def _likelihood(self, squares: Sequence[Array]) -> Floats:
+        """Return the mean log likelihood of a pixel by noise; squares: y' C^-1 y, [P] each."""
         logs = np.log(np.maximum(squares, 1e-9)).mean(axis=1)
         return 0.5 * (np.array(self.volumes) - len(self.rows) * logs)
 
@@ -163,7 +165,8 @@ def _best_set(
 ) -> Indices:
     """Return the set of captures at which no step raises the gain any more.
 
-    A step adds its captures to the set, or removes those that the set has.
+    A step (indices of captures) adds its captures to the set, or removes those that the set has.
+    gain: of a set, in log likelihood; start: the set to begin with.
     """
     best, best_gain = start, gain(start)
     while len(steps):
@@ -215,7 +218,8 @@ def _other_level(found: Evidence) -> Indices:
     """Return the captures, days or parts of days, that one factor for each pixel explains best.
 
     Three darker days make the others look brighter: darker and brighter sets are searched
-    separately, and there is no result if it is unclear which of them are the exception.
+    separately, and there is no result if it is unclear which of them are the exception. found:
+    evidence on the captures that are compared.
     """
     process, rows = found.process, found.rows
     steps = [b for b in _days_and_pairs(process, rows) if len(b) >= 2]

@@ -190,7 +190,10 @@ class Transport:
         return SurfaceMaps(luminance, direct, unit, features, cross)
 
     def _belief(self, maps: SurfaceMaps, patch: Floats32 | None) -> tuple[Floats, Array, Mask]:
-        """Return the sd of log10 L [n, P], the expected log10 MSE [n], and trusted [n]."""
+        """Return the sd of log10 L [n, P], the expected log10 MSE [n], and trusted [n].
+
+        maps: of n hours at P pixels; patch: sun patches [n, H, W], None if they are not used.
+        """
         unsure, features = self.uncertainty, maps.features
         luminance = np.maximum(maps.luminance, np.float32(MIN_CDM2))
         variance = unsure.variance(maps.cross, self.kernel.diagonal(features))  # [n]
@@ -352,7 +355,8 @@ def _chosen_inputs(data: Dataset, patch: Patch, seed: int) -> _Chosen:
     A box can be worse than no room if it lacks, for example, a building in front of its windows.
     Compared are geometric means of the errors of held-out days and seasons. Without the room this
     figure is 0.34 times that with it in a room of another renderer where the year's error is 0.35
-    times; in seven others it is 0.8 to 1.8 times, where the year's error is 0.7 to 1.8 times.
+    times; in seven others it is 0.8 to 1.8 times, where the year's error is 0.7 to 1.8 times. data,
+    patch, seed: as for `_described`.
     """
     stated = _chosen(_described(data, patch, seed))
     if data.setup.room is None or seasons(data.days).max() == 0:
@@ -432,12 +436,17 @@ class _Chosen(NamedTuple):
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # its matrices are small; chunks run at once
 def _described(data: Dataset, patch: Patch, seed: int) -> _Described:
-    """Describe the light of captures in all ways among which held-out days choose."""
+    """Describe the light of captures in all ways among which held-out days choose.
+
+    patch: with "none" sun patches are not used; seed: of the draw of pixels by which the days
+    choose. Raises NotEnoughDataError for fewer than three captures.
+    """
     if len(data) < 3:
         found = f"{counted(len(data), 'capture')}; light transport needs at least 3"
         raise NotEnoughDataError(f"{found}; capture more hours")
     progress(0, 100, "describing light")
-    arrays, scale = training_arrays_of(data, with_patch=patch != "none"), None
+    arrays = training_arrays_of(data, with_patch=patch != "none")
+    scale = None
     if arrays.patch is not None:
         scale = patch_scale(arrays)
         arrays = replace(arrays, patch=arrays.patch * np.float32(scale))
@@ -473,7 +482,7 @@ def _chosen(of: _Described) -> _Chosen:
     best, errors = of.every[k], tried[k]
     states = replace(best.arrays.states, always=True)
     lamps = states.features(best.arrays.light).lamps
-    both = replace(best.arrays.features, lamps=lamps), replace(best.perez, lamps=lamps)
+    both = (replace(best.arrays.features, lamps=lamps), replace(best.perez, lamps=lamps))
     lit = _compared(replace(best.arrays, states=states, features=both[0]), of.kernel, both[1])
     with_lamp = of.errors(lit)
     gain, error = difference(errors, with_lamp, "log10")
@@ -529,7 +538,8 @@ def _inputs(
     """Return the inputs among which held-out days choose.
 
     These are Perez's skies or, with at least four days, those that windows showed, each with and
-    without the light of the stated room.
+    without the light of the stated room. arrays: of the captures; seen: pixels that a lens saw [H,
+    W].
     """
     light, sunlight, perez = arrays.light, None, None
     if physics is not None:

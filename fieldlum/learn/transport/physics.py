@@ -95,7 +95,7 @@ def _at_pixels(maps: Floats32, seen_mask: Mask) -> Floats32:
     height = round(np.sqrt(maps.shape[1] / 2))
     places = (np.indices(seen_mask.shape) + 0.5) * (height / len(seen_mask)) + [[[-0.5]], [[0.5]]]
     row, column = places.astype(np.float32)  # of a map with a column more on either side
-    at = column, row, cv2.INTER_LINEAR
+    at = (column, row, cv2.INTER_LINEAR)
     coarse = (wrapped(m) for m in maps.reshape(-1, height, 2 * height))
     shown = [cv2.remap(m, *at, borderMode=cv2.BORDER_REPLICATE)[seen_mask] for m in coarse]
     return np.array(shown, np.float32).reshape(len(maps), -1)

@@ -171,21 +171,20 @@ def normal_equations(
 ) -> tuple[Array, Array]:
     """Return A [P, r + k, r + k] and b [P, r + k] of the normal equations A x = b.
 
-    x is the deviation of coefficients and gains from their prior mean, and A includes the prior.
-    basis: features that all pixels share; target, weights: [n, P]; noise: variance of a target of
-    weight 1.
+    x is the deviation of r coefficients and k gains from their prior mean, and A includes the
+    prior. basis: features that all pixels share; columns: covariates of each of the P pixels;
+    target, weights: [n, P]; noise: variance of a target of weight 1.
     """
-    features, (both, i, j) = basis.values, basis.pairs
+    features, (products, first, second) = basis.values, basis.pairs
     count, r, k = target.shape[1], features.shape[1], len(columns.variance)
-    w = np.ascontiguousarray(weights.T) / noise
+    precision = np.ascontiguousarray(weights.T) / noise  # [P, n]
     matrix = np.empty((count, r + k, r + k))
-    matrix[:, i, j] = packed = w @ both
-    matrix[:, j, i] = packed
-    rest = (target - columns.values.sum(axis=0)).T * w
+    matrix[:, first, second] = matrix[:, second, first] = precision @ products
+    rest = (target - columns.values.sum(axis=0)).T * precision
     right = np.empty((count, r + k))
     right[:, :r] = rest @ features
     for a in range(k):
-        weighted = columns.values[a].T * w
+        weighted = columns.values[a].T * precision
         matrix[:, r + a, :r] = matrix[:, :r, r + a] = weighted @ features
         right[:, r + a] = (columns.values[a].T * rest).sum(axis=1)
         for b in range(a, k):
@@ -239,7 +238,8 @@ def fit_chunk(arrays: TrainingArrays, scale: Array, basis: Basis, noise: float) 
     too dark. Squared log errors, linearised about the fit f, are a ridge problem again, with
     response f (1 + ln(y / f)) and weights 1 / f^2, which robust weights of the log errors multiply.
     The prior also shrinks the level, so a last factor makes the mean signed log error zero. scale:
-    usual luminance of each pixel per lx of total light [P].
+    usual luminance of each pixel per lx of total light [P]. arrays, basis: of these pixels and of
+    all; noise: variance of a target of weight 1.
     """
     unit = arrays.light.total_lx[:, None] * scale  # [n, P]
     target = np.maximum(arrays.luminance, MIN_CDM2) / unit
@@ -249,6 +249,7 @@ def fit_chunk(arrays: TrainingArrays, scale: Array, basis: Basis, noise: float) 
     # weight than a value of 3 %.
     dark = 0.03 * np.exp(np.mean(np.log(target), axis=0))
     response, weights = target, arrays.trust / np.maximum(target, dark) ** 2
+    # b: coefficients of the basis
     b, gains = solve(basis, columns, response, weights, noise)
     for _ in range(ROUNDS):
         fitted = _fitted(target, basis, b, columns, gains)
@@ -294,6 +295,7 @@ def fit_pixels(
         chunk = arrays[part]
         fit = fit_chunk(chunk, scale[part], basis, noise)
         out.b[part] = fit.b
+        # gains in the order of `Columns`: computed light first, then sun patch, window sky last
         out.sky_gain[part] = np.maximum(fit.gains[:, -1], 0.0)
         if chunk.patch is not None:
             out.patch_gain[part] = np.maximum(fit.gains[:, -2], 0.0)
@@ -402,7 +404,8 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     luminance = predicted * arrays.light.total_lx[:, None] * scale
     # Scores count values below 1 cd/m2 as 1 (floor of the paper).
     floored = (np.maximum(values, 1.0) for values in (luminance, arrays.luminance))
-    error = ~arrays.filled * np.subtract(*(np.log10(values) for values in floored))
+    log10_predicted, log10_captured = (np.log10(values) for values in floored)
+    error = ~arrays.filled * (log10_predicted - log10_captured)
     unknown, log10 = np.full(len(luminance), np.nan), (error**2).mean(axis=1)
     errors = HeldOutErrors(
         dgp=unknown, ev=unknown, log10=log10, day=arrays.days, weight=arrays.sureness, trim=0.0
@@ -418,27 +421,28 @@ def _hold_out_some(
     Both are divided by the total light and by `scale`, so about 1. With hat matrix H = X A^-1 X' W
     of the full fit, residuals e and a day's rows D, the residuals without the day are d = (1 -
     H_DD)^-1 e_D (block form of the leave-one-out identity), and the fit without the day is the full
-    fit minus A^-1 X_D' W_D d. Features and weights are those of the full fit.
+    fit minus A^-1 X_D' W_D d. Features and weights are those of the full fit. arrays, scale, basis,
+    noise: as for `fit_chunk`.
     """
     fit = fit_chunk(arrays, scale, basis, noise)
     unit = arrays.light.total_lx[:, None] * scale
-    count, r = len(scale), basis.values.shape[1]
+    features = basis.values.shape[1]  # r of the docstrings
     perez = Columns.of(arrays, unit, None if arrays.computed is None else arrays.computed.perez)
     design, wanted = fit.columns.design(basis.values), perez.design(basis.assumed)
     matrix, right = normal_equations(basis, fit.columns, fit.response, fit.weights, noise)
     rights = np.concatenate((right[:, :, None], design.transpose(0, 2, 1)), axis=2)
     solved = np.linalg.solve(matrix, rights)
-    solution, w = solved[:, :, 0], fit.weights.T / noise
+    solution, precision = solved[:, :, 0], fit.weights.T / noise
     rest = (fit.response - fit.columns.values.sum(axis=0)).T
     residual = rest - np.einsum("pna,pa->pn", design, solution)
-    out = np.empty((count, len(residual[0])))
+    out = np.empty(residual.shape)  # [P, n]
     for day in np.unique(arrays.days):
         rows = np.flatnonzero(arrays.days == day)
-        hat = design[:, rows] @ solved[:, :, 1 + rows] * w[:, None, rows]
+        hat = design[:, rows] @ solved[:, :, 1 + rows] * precision[:, None, rows]
         errors = np.linalg.solve(np.eye(len(rows)) - hat, residual[:, rows, None])  # [P, d, 1]
-        change = solved[:, :, 1 + rows] @ (w[:, rows, None] * errors)  # [P, r + k, 1]
+        change = solved[:, :, 1 + rows] @ (precision[:, rows, None] * errors)  # [P, r + k, 1]
         deviation = solution - change[:, :, 0]
-        deviation[:, r:] += 1.0
+        deviation[:, features:] += 1.0  # of gains, whose prior mean is 1
         out[:, rows] = np.einsum("pda,pa->pd", wanted[:, rows], deviation)
     # Sun patch and window sky have the gains of the full fit; negative gains count as 0.
     added = slice(perez.surface, None)

@@ -307,17 +307,15 @@ def slip_variance(patch: Floats, seen: Mask, dark: Floats, slip_deg: float) -> F
     """Return the variance of ln L due to sun patches that are displaced by an angle, [n, P].
 
     patch: luminance of sun patches [n, H, W] cd/m2; seen: mask [H, W] of the P pixels; dark:
-    luminance without the patch [n, P] cd/m2.
+    luminance without the patch [n, P] cd/m2; slip_deg: the angle.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
     slip_px = slip_deg * patch.shape[1] / 180.0
     reach = max(1, int(np.ceil(slip_px)))
     size, modes = (1, 2 * reach + 1, 2 * reach + 1), ("nearest", "nearest", "wrap")
-    low, high = (
-        near(patch, size, mode=modes)[:, seen]  # pyright: ignore[reportArgumentType]
-        for near in (minimum_filter, maximum_filter)
-    )
+    low = minimum_filter(patch, size, mode=modes)[:, seen]  # pyright: ignore[reportArgumentType]
+    high = maximum_filter(patch, size, mode=modes)[:, seen]  # pyright: ignore[reportArgumentType]
     odds = slip_px / (2.0 * reach)  # that a pixel is on the other side of a straight edge
     return odds * np.log((dark + high) / (dark + low)) ** 2
 
@@ -370,6 +368,7 @@ def computed_light(
 
     The gain is captured over computed luminance, limited to a factor of 20 below or above the
     median of all pixels. perez: see `ComputedLight`, None if `luminance` is under Perez's skies.
+    luminance: computed [n, P] cd/m2.
     """
     # Any wall by day is far brighter than 1e-3 cd/m2, below which computed light has no meaning.
     gain = pixel_scale(arrays, np.maximum(luminance, np.float32(1e-3)))

@@ -41,7 +41,7 @@ _ACTIVE_AREA, _COLOUR_FILTER_ARRAY = 50829, 32803  # tag, and value of Photometr
 # With the masked pixels at the edges, at most a tenth more.
 _MAX_RAW_PIXELS = 11 * MAX_PIXELS // 10
 MAX_CAMERA_PIXELS = 500_000_000  # by any profile; a sensor that merges shots gives 400 million
-_COLOUR_MATRICES = 50722, 50721  # tags ColorMatrix2 and 1
+_COLOUR_MATRICES = (50722, 50721)  # tags ColorMatrix2 and 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,7 +182,7 @@ def opened(path: Path) -> Any:
     try:
         with library_messages(*_DAMAGE) as damage:
             raw = rawpy.imread(str(path))
-            size = raw.sizes.raw_width, raw.sizes.raw_height
+            size = (raw.sizes.raw_width, raw.sizes.raw_height)
             if is_small := 0 < size[0] * size[1] <= _MAX_RAW_PIXELS:
                 raw.unpack()
     except Exception as error:
@@ -213,7 +213,7 @@ def _libraw_exposure(raw: Any) -> tuple[float, float, float]:
 def _pattern(path: Path, raw: Any) -> tuple[Cfa, Indices]:
     """Return the colours and LibRaw's colour indices of the top left 2 x 2 visible pixels.
 
-    Raises InputError without a Bayer mosaic.
+    raw: the file as rawpy opened it. Raises InputError without a Bayer mosaic.
     """
     import rawpy
 
@@ -358,6 +358,7 @@ def _codes(path: Path, max_pixels: int) -> NDArray[np.uint8]:
 
     Pillow's class for JPEG is used directly: `Image.open` also reads the index of further pictures
     (MPF), which may be broken, and has a limit on pixels below those of current cameras.
+    max_pixels: more are refused.
     """
     from PIL.JpegImagePlugin import JpegImageFile
 

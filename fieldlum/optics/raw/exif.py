@@ -40,7 +40,7 @@ _TIME = re.compile(
 )
 _UTC_OFFSET = re.compile(r"Z|[+-](?:0\d|1[0-4]):?[0-5]\d")  # civil time is within 14 h of UTC
 # Programs that read makers' notes, with arguments, and the lines of both that count.
-_READERS = ("exiftool", "-ExposureTime", "-FNumber", "-ISO"), ("exiv2",)
+_READERS = (("exiftool", "-ExposureTime", "-FNumber", "-ISO"), ("exiv2",))
 _READ = tuple(
     re.compile(rf"^(?:{name})\s*: F?(\d[\d.]*)(?:/(\d+))?", re.IGNORECASE | re.MULTILINE)
     for name in ("exposure time", "f number|aperture", "iso|iso speed")
@@ -253,7 +253,7 @@ def info_of(
     that is missing, impossible, or not the one that exposures.csv states.
     """
     stated = stated_exposure(path)
-    in_tags = _setting(tags, 33434, 37377, -1.0), _setting(tags, 33437, 37378, 0.5), _iso(tags)
+    in_tags = (_setting(tags, 33434, 37377, -1.0), _setting(tags, 33437, 37378, 0.5), _iso(tags))
     own = zip(in_tags, stated, (0.0, lens_f_number, 0.0), strict=True)
     values = [next(filter(None, sources), 0.0) for sources in own]
     if not all(values):

@@ -85,7 +85,7 @@ def poll_period_s(t_unix_s: Floats) -> float:
 def local_period_s(t_unix_s: Floats) -> Floats:
     """Return the median time [s] between two rows around each row, [n].
 
-    It varies because one session can have several loggers.
+    It varies because one session can have several loggers. t_unix_s: of the rows [n], ascending.
     """
     step = np.diff(t_unix_s, prepend=t_unix_s[:1] - poll_period_s(t_unix_s))
     blocks = [step[first : first + _BLOCK] for first in range(0, len(step), _BLOCK)]
@@ -134,8 +134,9 @@ def sky_geometry(t_unix_s: Floats, site: Site) -> tuple[Floats, Floats]:
 def check(series: Series, altitude: Floats, top: Floats) -> Series:
     """Return the series with doubtful values marked, and the third component computed.
 
-    If two of GHI, DHI and DNI are measured, the third follows by closure. Unusable values become
-    NaN. altitude [n, deg], top [n, W/m2]: from `sky_geometry`.
+    If two of GHI, DHI and DNI are measured, the third follows by closure: GHI = DHI + DNI sin h.
+    Unusable values become NaN. altitude [n]: the sun's true altitude h in degrees; top [n]: normal
+    irradiance above the atmosphere in W/m2; both from `sky_geometry`.
     """
     marks = series.marks.copy()
     ghi, dhi, dni = series.ghi_wm2, series.dhi_wm2, series.dni_wm2
@@ -153,14 +154,14 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
     step = np.diff(series.t_unix_s, prepend=series.t_unix_s[:1])
     marks[step > 2.5 * local_period_s(series.t_unix_s)] |= Mark.GAP
     ghi, dhi, dni = (np.where(marks & UNUSABLE, np.nan, value) for value in (ghi, dhi, dni))
-    two_level = np.isfinite(ghi) & np.isfinite(dhi) & np.isnan(dni)
-    marks[two_level & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
+    without_dni = np.isfinite(ghi) & np.isfinite(dhi) & np.isnan(dni)
+    marks[without_dni & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
     computed = np.minimum(sun.dni_by_closure(ghi, dhi, altitude), top)
     faint = _is_faint(series.t_unix_s, ghi - dhi) & (altitude >= sun.LOW_SUN_DEG)
     computed[faint] = 0.0
-    dni = np.where(two_level, computed, dni)
-    unknown = np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi)
-    dhi = np.where(unknown, sun.dhi_by_closure(ghi, dni, altitude), dhi)
+    dni = np.where(without_dni, computed, dni)
+    without_dhi = np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi)
+    dhi = np.where(without_dhi, sun.dhi_by_closure(ghi, dni, altitude), dhi)
     beam = sun.horizontal_beam(dni, altitude)
     ghi = np.where(np.isfinite(dhi) & np.isfinite(dni) & np.isnan(ghi), dhi + beam, ghi)
     return Series(series.t_unix_s, ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni, marks=marks)
@@ -172,7 +173,7 @@ def _is_faint(t_unix_s: Floats, beam: Floats) -> Mask:
     beam: global less diffuse irradiance. `check` sets the DNI of these rows to zero only above 5
     degrees. Under a lower sun DNI is marked as inaccurate and the computed value stays: in three
     months of DTU's station its rms error is 17, 22, 7 W/m2 at 3 to 5 degrees, that of zero is 19,
-    23, 11 W/m2; at 2 to 3 degrees neither is better in all months.
+    23, 11 W/m2; at 2 to 3 degrees neither is better in all months. t_unix_s, beam: of the rows [n].
     """
     sums = np.append(0.0, np.cumsum(np.nan_to_num(beam)))
     first = np.searchsorted(t_unix_s, t_unix_s - 150.0)
@@ -184,7 +185,7 @@ def _stuck(t_unix_s: Floats, ghi: Floats, altitude: Floats) -> Mask:
     """Return a mask of rows in a run of equal values over ten minutes of daylight.
 
     The sun must have moved enough to change the value: in integers of W/m2, a clear noon is
-    constant for up to half an hour.
+    constant for up to half an hour. ghi [n] W/m2; altitude: of the sun [n] deg.
     """
     if len(ghi) < 3:
         return np.zeros(len(ghi), bool)
@@ -208,7 +209,8 @@ def suspicions(series: Series, altitude: Floats, top: Floats, site: Site) -> NDA
     altitude [n] deg, top [n] W/m2: from `sky_geometry`.
     """
     complete = (series.marks & Mark.DERIVED) == 0
-    ghi, dni = (np.where(complete, v, np.nan) for v in (series.ghi_wm2, series.dni_wm2))
+    ghi = np.where(complete, series.ghi_wm2, np.nan)
+    dni = np.where(complete, series.dni_wm2, np.nan)
     marks, t = np.zeros(len(ghi), np.int64), series.t_unix_s
     fails = consistency.k_index_fails(t, ghi, series.dhi_wm2, series.dni_wm2, altitude, top)
     marks[fails] |= Mark.K_INDEX
@@ -399,7 +401,10 @@ _FAULTS = {
 
 
 def _of_day(clean: Series, altitude: Floats, top: Floats) -> Iterator[str]:
-    """Yield a sentence for each fault that over 5 % of the rows have while the sun is well up."""
+    """Yield a sentence for each fault that over 5 % of the rows have while the sun is well up.
+
+    altitude [n] deg, top [n] W/m2: from `sky_geometry`.
+    """
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
         return

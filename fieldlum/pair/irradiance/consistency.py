@@ -58,7 +58,7 @@ def k_index_fails(
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         kt = ghi / (top * np.maximum(np.sin(np.radians(altitude)), 1e-3))
-        kn, kd = dni / top, dhi / ghi
+        kn, kd = dni / top, dhi / ghi  # kt: clearness, kn: transmittance, kd: diffuse share
         clear = (kt > 0.6) & (ghi > 150.0) & (altitude > 5.0)
         fails = ((kn > kt) & (kn > 0) & (kt > 0)) | (dni > 1100.0) | (kt > 1.35)
         fails |= (kd > np.where(altitude > 15.0, 1.05, 1.10)) | (clear & (kd > 0.96))

@@ -345,8 +345,8 @@ def indirect_component(data: Dataset, seen: Array, patch: Array) -> Array:
         normal = normal + (_RIDGE * mean)[:, None, None] * np.eye(terms, dtype=np.float32)
         right = (basis @ (weight * y)).T[..., None]  # [m, k, 1]
         fit = np.maximum(basis.T @ np.linalg.solve(normal, right)[..., 0].T, minimum)
-        q = np.log(y / fit)
-        excess = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
+        error = np.log(y / fit)
+        excess = np.where(error > 0.0, error / BRIGHTER, error / DARKER) ** 2
         weight = trust / (y * fit) / (1.0 + excess)
     return np.maximum(fit * scale * total_lx, MIN_CDM2)
 
@@ -371,8 +371,8 @@ def levelled(below: Array, seen: Array, patch: Array, directions: Array) -> Arra
     products = np.einsum("mk,ml->mkl", terms, terms).reshape(len(terms), -1)  # [m, 81]
     field = np.zeros_like(off)
     for number in range(LEVEL_ROUNDS):
-        q = off - field
-        excess = np.where(q > 0.0, q / BRIGHTER, q / LEVEL_DARKER) ** 2
+        error = off - field
+        excess = np.where(error > 0.0, error / BRIGHTER, error / LEVEL_DARKER) ** 2
         weight = first / (1.0 + excess) if number else first
         normal = (weight @ products).reshape(-1, 9, 9)
         normal = normal + 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(9)

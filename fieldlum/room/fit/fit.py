@@ -103,6 +103,7 @@ class SceneSearch:
         clock_sd_min: float = CLOCK_SD_MIN,
         pixels: int = PIXELS,
     ) -> None:
+        """Prepare the search for a room; the arguments are those of `fit_scene`."""
         self.data, self.room, self.pose = data, room, pose
         self.evidence = scene_evidence(data, room, pixels=pixels)
         self.start = self.guess = guess_of(room, data.heading_deg)
@@ -163,7 +164,10 @@ class SceneSearch:
         ]
 
     def _with_more(self, kinds: Sequence[Kind]) -> Guess:
-        """Return the guess with more elements: all of the best proposals that pay together."""
+        """Return the guess with more elements: all of the best proposals that pay together.
+
+        kinds: of the elements that are proposed.
+        """
         cost = self.cost(coarse=True)
         found: list[tuple[float, Kind, Guess]] = []
         for kind in kinds:
@@ -194,7 +198,10 @@ class SceneSearch:
         return float(saved.sum() / before.sum()) if sure else -np.inf
 
     def _prune(self, kinds: Sequence[Kind]) -> None:
-        """Take away bars and added solids that do not pay."""
+        """Take away bars and added solids that do not pay.
+
+        kinds: of the added elements; the least gain of any is needed.
+        """
         guess, minimum = self.guess, min((kind.gain for kind in kinds), default=0.0)
         for bar in guess.bars:
             without = replace(guess, bars=tuple(b for b in guess.bars if b is not bar))
@@ -248,7 +255,10 @@ def true_room(guess: Guess, stated: Room, albedo: Floats) -> Room:
 
 
 def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
-    """Return sentences for the user."""
+    """Return sentences for the user on what the captures do not determine.
+
+    u: standard uncertainty by parameter.
+    """
     notes = []
     if u["north_deg"] > 0.2 and u["clock_min"] > 0.8:
         notes.append(

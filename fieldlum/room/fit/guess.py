@@ -284,6 +284,7 @@ def _bar_obstruction(guess: Guess, bar: Bar, albedo: float) -> Obstruction:
 
 
 def _obstruction(low: Sequence[float], high: Sequence[float], albedo: float) -> Obstruction:
+    """Return a box by two opposite corners x, y, z [m]; albedo: its reflectance."""
     return Obstruction(
         x_m=low[0],
         y_m=low[1],

@@ -102,14 +102,17 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
 
 
 def _slip_deg(off: dict[str, tuple[float, float]]) -> float:
-    """Return by what angle corrections move patches, seen from the camera: root sum of squares."""
+    """Return by what angle corrections move patches, seen from the camera: root sum of squares.
+
+    off: each correction and its standard uncertainty, by parameter, in the unit that its name has.
+    """
     degrees = []
-    for name, (by, _) in off.items():
+    for name, (moved, _) in off.items():
         if name == "clock_min":
-            by *= SUN_DEG_PER_MIN
+            moved *= SUN_DEG_PER_MIN
         elif name not in ("north_deg", "wall_azimuth_deg"):
-            by = float(np.degrees(np.arctan2(by, EDGE_AWAY_M)))
-        degrees.append(by)
+            moved = float(np.degrees(np.arctan2(moved, EDGE_AWAY_M)))
+        degrees.append(moved)
     return float(np.sqrt(np.sum(np.square(degrees))))
 
 
@@ -150,7 +153,10 @@ def warnings_of(found: Misplacement, setup: SiteFile) -> list[str]:
 
 
 def _advice(name: str, off: tuple[float, float], setup: SiteFile) -> tuple[str, str]:
-    """Return what is wrong, and what to write into SITE.toml or else to do."""
+    """Return what is wrong, and what to write into SITE.toml or else to do.
+
+    off: correction of the parameter `name`, and its standard uncertainty.
+    """
     (by, u), room = off, setup.room
     azimuth = ((room.wall_azimuth_deg if room else 180.0) + by) % 360.0
     wall, again = f"[room] wall_azimuth_deg = {azimuth:.1f}", "then merge, pair and train again"

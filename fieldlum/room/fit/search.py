@@ -106,18 +106,19 @@ def search(
 ) -> tuple[Guess, float]:
     """Search the guess of the smallest cost from a start; return it and its cost (no unit).
 
-    Levenberg-Marquardt: derivatives are differences over shares of the parameters' steps, which
-    `levels` lists. A finer level follows when a round gains less than 0.1 % of the cost.
+    parameters: what of the guess is changed. Levenberg-Marquardt: derivatives are differences over
+    shares of the parameters' steps, which `levels` lists. A finer level follows when a round gains
+    less than 0.1 % of the cost.
     """
-    found = cost.residuals(guess)
-    if found is None:
+    off = cost.residuals(guess)
+    if off is None:
         return guess, np.inf
-    value = float(found @ found)
+    value = float(off @ off)
     for level in levels:
         damping = _FIRST_DAMPING
         for _ in range(_ROUNDS):
-            slopes = _slopes(cost, guess, parameters, found, level)
-            normal, downhill = (slopes @ slopes.T).astype(float), (slopes @ found).astype(float)
+            slopes = _slopes(cost, guess, parameters, off, level)
+            normal, downhill = (slopes @ slopes.T).astype(float), (slopes @ off).astype(float)
             scale = np.diag(np.diag(normal) + 1e-4 * max(np.diag(normal).mean(), 1e-12))
             before = value
             for _ in range(_TRIES):
@@ -125,7 +126,7 @@ def search(
                 trial = stepped(guess, parameters, level * np.clip(step, -_REACH, _REACH))
                 tried = cost.residuals(trial)
                 if tried is not None and float(tried @ tried) < value:
-                    guess, found, value = trial, tried, float(tried @ tried)
+                    guess, off, value = trial, tried, float(tried @ tried)
                     damping = max(damping / 4.0, 1e-3)
                     break
                 damping *= 4.0

@@ -61,7 +61,7 @@ def _pane_share(guess: Guess, rays: Floats32, spread: float) -> Floats:
         for at, (low, high), width in ((1 - axis, rect.u_m, flat**2), (2, rect.z_m, reach)):
             inner = ends.position_m[here, at]
             outer = inner + guess.thickness_m * slope[:, at]
-            beyond = np.minimum(inner, outer) - low, high - np.maximum(inner, outer)
+            beyond = (np.minimum(inner, outer) - low, high - np.maximum(inner, outer))
             for edge in beyond:
                 share *= np.clip(edge / (spread * far * width) + 0.5, 0.0, 1.0)
         shows[here] += share

@@ -101,7 +101,10 @@ def clicks_from_rows(rows: Any) -> list[Click]:
 
 
 def _click(where: str, line: int, row: Any) -> Click:
-    """Return a click from its row of the file. Raises InputError for a wrong cell."""
+    """Return a click from its row of the file; where, line: for the error.
+
+    Raises InputError for a wrong cell.
+    """
     expected = f"a kind of {', '.join(KINDS)}; numbers x_px and y_px; 1 to 50 for a window"
     try:
         click = convert({**row, "window": row.get("window") or 0, "line": line}, Click)
@@ -146,7 +149,10 @@ def room_from_clicks(
 
 
 def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
-    """Raise InputError for a click off the panorama or on a wrong side, and for too few."""
+    """Raise InputError for a click off the panorama or on a wrong side, and for too few.
+
+    grid: from pixels to directions; where: the file, for the error.
+    """
     for click in clicks:
         place = f"{where}:{click.line}"
         if not (0 <= click.x_px <= grid.width_px and 0 <= click.y_px <= grid.height_px):
@@ -192,7 +198,7 @@ class _Corner(NamedTuple):
         """Return the corner in room axes [m], relative to the camera.
 
         values: azimuth of the "south" wall [deg], then width, depth, height, camera x, camera y,
-        and left, width, sill, height of each window [m].
+        and left, width, sill, height of each window [m]. camera_height_m: above the floor.
         """
         size, camera = values[1:4], np.array([values[4], values[5], camera_height_m])
         if not self.wall:
@@ -210,7 +216,11 @@ class _Corner(NamedTuple):
 def _start(
     clicks: Sequence[Click], grid: ClickGrid, h: float, where: str
 ) -> tuple[Floats, list[_Corner | None]]:
-    """Return a first guess of the values of `_Corner.point`, and the meaning of each click."""
+    """Return a first guess of the values of `_Corner.point`, and the meaning of each click.
+
+    grid: from pixels to directions; h: height of the camera above the floor [m]; where: the file,
+    for the error.
+    """
     rays = np.array([grid.ray(click) for click in clicks]).reshape(-1, 3)
     floor = np.array([click.kind == "floor" for click in clicks])
     ground = rays[floor, :2] * (h / -rays[floor, 2])[:, None]  # [n, 2] east, north
@@ -225,7 +235,7 @@ def _start(
     ceiling = [ray for ray, c in zip(turned, clicks, strict=True) if c.kind == "ceiling"]
     heights = [_reach(ray[:2], distances, corner=True) * ray[2] for ray in ceiling]
     south, west, north, east = distances
-    size = west + east, south + north
+    size = (west + east, south + north)
     values = [theta, *size, h + float(np.mean(heights)), west, south]
     corners: list[_Corner | None] = [
         _Corner("", 0, (float(ray[0] > 0), float(ray[1] > 0), float(click.kind == "ceiling")))
@@ -249,7 +259,11 @@ def _start(
 
 
 def _spread(ground: Floats, theta_deg: float) -> float:
-    """Return how far corners on one side are from a common line."""
+    """Return how far corners on one side are from a common line.
+
+    ground [n, 2]: corners of the floor, east and north of the camera [m]; theta_deg: azimuth of the
+    "south" wall. The result is a sum of squares [m2].
+    """
     xy = ground @ room_axes(theta_deg)[:2, :2].T
     total = 0.0
     for axis in (0, 1):
@@ -359,7 +373,10 @@ _WINDOW_LENGTHS = ("left_m", "width_m", "sill_m", "height_m")
 def _room(
     values: Floats, walls: dict[int, Any], clicks: Sequence[Click], grid: ClickGrid, h: float
 ) -> Room:
-    """Return the room of fitted values; walls: of each window, in its place."""
+    """Return the room of fitted values; walls: of each window, in its place.
+
+    values: as by `_start`; grid: from pixels to directions; h: height of the camera [m].
+    """
     rounded = [round(value, 4) for value in values.tolist()]
     axes, camera = room_axes(values[0]), (values[4], values[5], h)
     windows = []

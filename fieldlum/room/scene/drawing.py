@@ -54,6 +54,7 @@ def room_svg(setup: SiteFile) -> str:
 
 
 def _draw_plan(axes: Axes, room: Room) -> None:
+    """Draw walls, boxes and windows from above, and what each wall faces."""
     from matplotlib.patches import Rectangle
 
     axes.set_axis_off()
@@ -80,7 +81,10 @@ def _draw_plan(axes: Axes, room: Room) -> None:
 
 
 def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
-    """Draw the camera with its heading, and true north in the upper left corner."""
+    """Draw the camera with its heading, and true north in the upper left corner.
+
+    heading_deg: clockwise from true north.
+    """
     # The drawing's downwards direction is the "south" wall's azimuth; angles run clockwise.
     up_deg = room.wall_azimuth_deg + 180.0
     at, arrow = (room.camera_x_m, room.camera_y_m), {"scale": 8.0, "width": 0.01, "clip_on": False}
@@ -89,8 +93,8 @@ def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
         ("north", 0.0, (-0.1, 1.1), INK, axes.transAxes),
     ):
         turn = np.radians(azimuth - up_deg)
-        to = np.sin(turn), np.cos(turn)
-        axes.quiver(*place, *to, color=colour, transform=of, gid=name, **arrow)
+        right, up = np.sin(turn), np.cos(turn)
+        axes.quiver(*place, right, up, color=colour, transform=of, gid=name, **arrow)
     axes.text(-0.15, 1.1, "N", ha="right", va="center", transform=axes.transAxes)
     axes.plot(*at, "o", color=RED, ms=9)
     label = f"camera to {compass_text(heading_deg)}, {room.camera_z_m:.3g} m high"

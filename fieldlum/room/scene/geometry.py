@@ -199,7 +199,8 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
     openings = tuple(_opening(room, window, where) for window in room.window)
     _check_overlap(openings, where)
     t = room.wall_thickness_m
-    low, high = (-t, -t, -SLAB_M), (room.width_m + t, room.depth_m + t, room.height_m + ROOF_M)
+    low = (-t, -t, -SLAB_M)  # corners of the building
+    high = (room.width_m + t, room.depth_m + t, room.height_m + ROOF_M)
     boxes = [
         Box(low, (high[0], high[1], 0.0), room.reflectance_floor, "floor"),
         Box((low[0], low[1], room.height_m), high, room.reflectance_ceiling, "ceiling"),
@@ -288,12 +289,14 @@ def _faces_m(room: Room, wall: str) -> Span:
 
 
 def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
-    for (j, a), (k, b) in combinations(enumerate(openings, start=1), 2):
-        same = (a.axis, a.outward) == (b.axis, b.outward)
-        if same and all(
-            p[0] < q[1] - _ROUNDING_M and q[0] < p[1] - _ROUNDING_M
-            for p, q in ((a.u_m, b.u_m), (a.z_m, b.z_m))
-        ):
+    """Raise InputError for two windows of one wall that overlap; where: the room, for the error."""
+
+    def overlap(one: Span, other: Span) -> bool:
+        return one[0] < other[1] - _ROUNDING_M and other[0] < one[1] - _ROUNDING_M
+
+    for (j, one), (k, other) in combinations(enumerate(openings, start=1), 2):
+        same_wall = (one.axis, one.outward) == (other.axis, other.outward)
+        if same_wall and overlap(one.u_m, other.u_m) and overlap(one.z_m, other.z_m):
             found, expected = f"windows {j} and {k} of one wall overlap", "separate windows"
             raise InputError(where, found, expected, "correct left_m, width_m, sill_m or height_m")
 
@@ -301,6 +304,7 @@ def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
 def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterator[Box]:
     """Yield a wall without its windows, as vertical strips between the windows' edges.
 
+    room, openings: as for `build`; wall: one of `WALLS`. u is along the wall, n across it, z up.
     The ends of the strips are the reveals.
     """
     axis, side = WALLS[wall]
@@ -332,7 +336,8 @@ def upright(axis: int, n: Span, u: Span, z: Span, reflectance: float, kind: str)
 def _frame(room: Room, window: Window, o: Opening) -> Iterator[Box]:
     """Yield the boxes of a window's outer frame, of the bars between its panes and of its transom.
 
-    Rails are between the outer posts.
+    o: the window's opening; n is across the wall, u along it, z up. Rails are between the outer
+    posts.
     """
     posts, rails, half = window_bars(window, o, room.wall_thickness_m)
     n = (o.pane_m - half, o.pane_m + half)

@@ -35,7 +35,7 @@ _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 def corners_of(axis: int, at_m: float, low: Floats, high: Floats) -> Floats:
     """Return the corners [4, 3] of a rectangle across an axis, counter-clockwise seen from its end.
 
-    low, high: its extent on the other two axes [3].
+    low, high: its extent on the other two axes [3]. axis: 0 to 2; at_m: its coordinate.
     """
     corners = np.array([low, low, high, high])
     other = (axis + 1) % 3
@@ -65,7 +65,7 @@ def rad_text(scene: BoxScene) -> str:
         tn = f"{transmissivity(o.transmittance):.6f}"
         parts.append(f"void glass g{k}\n0\n0\n3 {tn} {tn} {tn}\n")
         pane = upright(o.axis, (o.pane_m, o.pane_m), o.u_m, o.z_m, 0.0, "pane")
-        ends = np.array(pane.low), np.array(pane.high)
+        ends = (np.array(pane.low), np.array(pane.high))
         parts.append(_rectangle(f"pane{k}", f"g{k}", o.axis, o.pane_m, *ends))
     return "".join(parts)
 

@@ -196,6 +196,7 @@ def _hemispheres(normal: Floats, rays: int, rng: np.random.Generator) -> Floats:
 
     Roberts' R2 sequence, which fills the square evenly at any count, shifted at random for each
     point (Cranley and Patterson 1976), mapped to the disc, then to the sphere (Malley).
+    normal: [m, 3]; rays: directions for each.
     """
     steps = np.array([0.7548776662466927, 0.5698402909980532])  # 1/g, 1/g^2 with g^3 = g + 1
     square = (np.arange(rays)[None, :, None] * steps + rng.random((len(normal), 1, 2))) % 1.0
@@ -214,7 +215,9 @@ def _form_factors(
 ) -> Any:
     """Return the irradiance at points [m, 3] per luminance of each column, CSR [m, columns].
 
-    Rows sum to at most pi. rays : directions from each point, the same in every run.
+    position, normal: of the points [m, 3]; columns: sky patches, the ground outside and `pieces`;
+    workers: threads. Rows sum to at most pi. rays : directions from each point, the same in every
+    run.
     """
     from scipy.sparse import csr_matrix, vstack
 
@@ -237,7 +240,7 @@ def _form_factors(
             at.append(np.where(e.box >= 0, piece, outdoors))
             rows.append(e.row // rays)
             weights.append(e.weight.astype(np.float32) * np.float32(np.pi / rays))
-        where = np.concatenate(rows), np.concatenate(at)
+        where = (np.concatenate(rows), np.concatenate(at))
         return csr_matrix((np.concatenate(weights), where), (len(origin), columns))
 
     with ThreadPoolExecutor(workers) as pool:
@@ -276,13 +279,15 @@ def near_light(
     from scipy.sparse import csr_matrix
     from scipy.spatial import KDTree
 
-    at, known = (np.column_stack((p, face * _OTHER_FACE_M)) for p, face in (places, points))
-    found = KDTree(known).query(at, k=min(count, len(known)))
-    away, index = (np.reshape(v, (len(at), -1)) for v in found)
+    # the number of the face is a fourth coordinate: points of other faces are far away
+    at = np.column_stack((places[0], places[1] * _OTHER_FACE_M))
+    lit = np.column_stack((points[0], points[1] * _OTHER_FACE_M))
+    away, index = KDTree(lit).query(at, k=min(count, len(lit)))
+    away, index = np.reshape(away, (len(at), -1)), np.reshape(index, (len(at), -1))
     weight = np.exp((away[:, :1] ** 2 - away**2) / reach_m[:, None] ** 2)
     weight /= weight.sum(axis=1, keepdims=True)
-    where = np.arange(len(at)).repeat(index.shape[1]), index.ravel()
-    return csr_matrix((weight.ravel().astype(np.float32), where), (len(at), len(known)))
+    where = (np.arange(len(at)).repeat(index.shape[1]), index.ravel())
+    return csr_matrix((weight.ravel().astype(np.float32), where), (len(at), len(lit)))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -335,12 +340,12 @@ class LitRoom:
     def _sun_points(self) -> tuple[trace.SunPoints, trace.SunPoints, trace.SunPoints]:
         """Points of the pictures' direct sun, those of a model's patches, and the pieces'."""
         room, p, rays = box_room(self.setup), self.pieces, patch_rays(self.view.height)
-        shown, given = (
-            traced_view(room, self.view.height, self.view.heading_deg, count).sun_points()
-            for count in (rays + 1, rays)
-        )
-        points = p.position, p.axis[p.piece], p.sign[p.piece], p.share, p.piece
-        return shown, given, trace.sun_points(shown.scene, *points, len(p))
+        height, heading_deg = self.view.height, self.view.heading_deg
+        shown = traced_view(room, height, heading_deg, rays + 1).sun_points()
+        given = traced_view(room, height, heading_deg, rays).sun_points()
+        axis, sign = p.axis[p.piece], p.sign[p.piece]
+        lit = trace.sun_points(shown.scene, p.position, axis, sign, p.share, p.piece, len(p))
+        return shown, given, lit
 
     def render(self, light: Light, *, coloured: bool = False) -> Rendering:
         """Render all moments of `light` at once; memory grows with their number.
@@ -495,7 +500,7 @@ class LitRoom:
         luminance = rendering.luminance_cdm2[k]
         if rendering.colour is not None:
             rgb = rendering.colour[k] * luminance[..., None] / images.RADIANCE_LM_PER_W
-            of_rgb = melanopic.MELANOPIC_FROM_XYZ @ _TO_XYZ, np.eye(3), melanopic.BY_CHART[1]
+            of_rgb = (melanopic.MELANOPIC_FROM_XYZ @ _TO_XYZ, np.eye(3), melanopic.BY_CHART[1])
             about[melanopic.ATTRIBUTE] = melanopic.attribute_text(*of_rgb)
         return Panorama(luminance, heading, t_utc=t_utc, sun=sun, rgb=rgb, attributes=about)
 

@@ -109,8 +109,8 @@ def _panes(
 ) -> tuple[Floats, Floats, Floats, NDArray[np.int8]]:
     """Return the transmittance of all panes that rays cross within `limit_m`, [n].
 
-    And the first one's reflectance, distance and axis of the normal, [n] each; reflectance 0
-    without a pane.
+    origins [n, 3] m, rays [n, 3]: in the room's coordinates. And the first one's reflectance,
+    distance and axis of the normal, [n] each; reflectance 0 without a pane.
     """
     through, back = np.ones(len(rays)), np.zeros(len(rays))
     nearest, normal = limit_m.copy(), np.zeros(len(rays), np.int8)
@@ -202,9 +202,11 @@ def _unshaded(
 ) -> float:  # fmt: skip
     """Return the share of a point of [r, 3] from which none of some boxes of [s, 3] hides the sun.
 
-    softness: width over which the shade of a box grows at its edges, m. The line to the sun enters
-    a box through a face of one axis and leaves it through one of another; its distance from the
-    edge between them follows from its length inside, which is negative outside the box.
+    low, high: corners of the boxes; boxes: indices of those to test; position, point: all points,
+    and the index of this one; inverse: 1 over the direction to the sun [3]. softness: width over
+    which the shade of a box grows at its edges, m. The line to the sun enters a box through a face
+    of one axis and leaves it through one of another; its distance from the edge between them
+    follows from its length inside, which is negative outside the box.
     """
     share = 1.0
     # no shade begins farther from a box than this, as a length along the line to the sun
@@ -243,7 +245,10 @@ def _cosine(face: int, sun: Floats) -> float:
 
 @compiled
 def _bounds(position: Floats32, softness: Floats32, first: int, last: int) -> Floats:
-    """Return lowest and highest x, y, z of points first to last, and half their softness, [7]."""
+    """Return lowest and highest x, y, z of points first to last, and half their softness, [7].
+
+    position [n, 3], softness [n]: of all points [m].
+    """
     out = np.empty(7)
     for axis in range(3):
         out[axis] = out[3 + axis] = position[first, axis]
@@ -273,7 +278,11 @@ def _overlap(bounds: Floats, axis: int, near: float, far: float, low: float, hig
 def _boxes_towards_sun(
     low: Floats, high: Floats, bounds: Floats, inverse: Floats, boxes: Indices
 ) -> int:
-    """Put the boxes that may shade a point of `_bounds` first into `boxes`; return their number."""
+    """Put the boxes that may shade a point of `_bounds` first into `boxes`; return their number.
+
+    low, high: corners of all boxes [s, 3]; bounds: of the points; inverse: 1 over the direction to
+    the sun [3]; boxes: changed in place.
+    """
     reach = bounds[6] * np.sqrt(inverse[0] ** 2 + inverse[1] ** 2 + inverse[2] ** 2)
     count = 0
     for box in range(len(low)):
@@ -292,7 +301,11 @@ def _boxes_towards_sun(
 def _past_bars(
     bars: Floats, u: float, z: float, slope_u: float, slope_z: float, soft: float
 ) -> float:
-    """Return the share of a ray that passes an opening's bars; see `add_through`."""
+    """Return the share of a ray that passes an opening's bars; bars: as for `add_through`.
+
+    u, z: where the ray meets the wall's inner face [m]; slope_u, slope_z: by how much they change
+    per metre outwards; soft: width of the shade's edges [m].
+    """
     share = 1.0
     for bar in range(len(bars)):
         at, slope = (u, slope_u) if bars[bar, 0] > 0.0 else (z, slope_z)
@@ -378,7 +391,10 @@ def _add_outside(
     low: Floats, high: Floats, position: Floats32, face: NDArray[np.int8], weight: Floats,
     target: Indices, suns: Floats, totals: Floats,
 ) -> None:  # fmt: skip
-    """Add weight x cosine of points from which no box hides the suns; see `add_through`."""
+    """Add weight x cosine of points from which no box hides the suns.
+
+    The arguments are those of `add_through`.
+    """
     boxes, hard = np.arange(len(low)), np.full(len(face), HARD_M, np.float32)
     for first in range(0, len(face), _BLOCK):
         last = min(first + _BLOCK, len(face))

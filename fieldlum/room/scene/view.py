@@ -131,7 +131,7 @@ def trace_pixels(
     parts = []
     for mirrored, e in enumerate(both):
         on = np.flatnonzero(e.box >= 0)
-        faces = e.axis[on], e.sign[on], e.box[on], pixel[e.row[on]]
+        faces = (e.axis[on], e.sign[on], e.box[on], pixel[e.row[on]])
         parts.append((e.position[on], *faces, e.weight[on] * share, np.full(len(on), mirrored > 0)))
     samples = SurfaceSamples._make(np.concatenate(values) for values in zip(*parts, strict=True))
     open_, up = both[0].box < 0, rays[:, 2] > 0

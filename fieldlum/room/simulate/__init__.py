@@ -174,7 +174,7 @@ def render_slots(folder: Path, job: _Job) -> None:
         seen = room.as_panorama(truth, k)
         patch = {"luminance_cdm2": truth.patch_cdm2[k], "attributes": {"direct": "only"}}
         direct = replace(seen, rgb=None, **patch)
-        places = session.truth_panorama(slot.id), session.truth_sunpatch(slot.id)
+        places = (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id))
         for place, panorama in zip(places, (seen, direct), strict=True):
             with replacing_path(place) as path:
                 write_panorama(path, panorama)
@@ -211,11 +211,12 @@ def _delete_other_pictures(
 ) -> None:
     """Delete the slots' rendered pictures of another room, size, quality or weather.
 
-    Otherwise an interrupted run could leave a mixture.
+    how: the room and how it is rendered; coloured: whether the pictures have colours. Otherwise an
+    interrupted run could leave a mixture.
     """
     path, setup = session.truth / "made.json", session.site_file()
-    both = np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4")
-    light = hashlib.sha256(both.tobytes()).hexdigest()
+    irradiance = np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4")
+    light = hashlib.sha256(irradiance.tobytes()).hexdigest()
     room = [plain(setup.room), setup.camera.heading_deg, how.height, how.quality, _VERSION]
     now = {"room": digest(room), "weather": weather.name, "light_sha256": light}
     now |= {"window_pitch_deg": f"{how.pitch_deg:.4f}", "troubles": ""}
@@ -259,7 +260,7 @@ def write_pairs(
     light: of all slots; lit [len(slots)]: True for rendered ones, others get ok = 0; weather: GHI.
     """
     ghi = np.nan_to_num(weather.at([slot.t_utc for slot in slots]).ghi_wm2)
-    columns = light.dni_wm2, light.dhi_wm2, ghi, light.sun_altitude_deg, light.sun_azimuth_deg
+    columns = (light.dni_wm2, light.dhi_wm2, ghi, light.sun_altitude_deg, light.sun_azimuth_deg)
     rows = []
     for slot, ok, values in zip(slots, lit.tolist(), np.stack(columns, axis=1), strict=True):
         dni, dhi, total, altitude_deg, azimuth_deg = values.tolist()

@@ -52,6 +52,7 @@ class CleanIrradiance:
 
     @classmethod
     def _read(cls, path: Path, texts: tuple[str, ...], remedy: str) -> CleanIrradiance:
+        """Return a clean.csv; texts: its columns that are no numbers; remedy: for the error."""
         expected = f"the columns {', '.join((*_FIGURES, *texts))}"
         table = read_columns(path, expected, remedy)
         with input_errors(path, expected, remedy, ValueError, KeyError):

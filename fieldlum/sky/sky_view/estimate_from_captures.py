@@ -134,18 +134,20 @@ def sky_view_of(
 def partly_hidden(discs: MeasuredDiscs, captured: Captured) -> MeasuredDiscs:
     """Return the discs, less certain the less of them a picture shows: an edge moves their centre.
 
-    An edge that hides a share h moves the centre of what is left by 0.85 to 0.93 h of the radius.
-    Three discs or more show how much a pane lets pass; else clear glass is assumed.
+    captured: the captures, with the share of the disc that each picture shows. An edge that hides a
+    share h moves the centre of what is left by 0.85 to 0.93 h of the radius. Three discs or more
+    show how much a pane lets pass; else clear glass is assumed.
     """
     if not len(discs):
         return discs
-    times = captured.light.t_utc, discs.t_utc
-    taken, when = (np.array([t.timestamp() for t in each]) for each in times)
-    apart_s = np.abs(when[:, None] - taken)
+    captures_s = np.array([t.timestamp() for t in captured.light.t_utc])
+    discs_s = np.array([t.timestamp() for t in discs.t_utc])
+    apart_s = np.abs(discs_s[:, None] - captures_s)
     shares = np.nan_to_num(captured.disc_share)[apart_s.argmin(axis=1)]
-    known = (apart_s.min(axis=1) < _BRACKET_S) & (shares > 0.0)
-    whole = CLEAR_GLASS if known.sum() < MIN_DISCS else min(shares[known].max(), CLEAR_GLASS)
-    hidden = np.where(known, np.clip(1.0 - shares / whole, 0.0, 1.0), 0.0)
+    measured = (apart_s.min(axis=1) < _BRACKET_S) & (shares > 0.0)
+    # share of the light that a pane lets pass of a disc that is not hidden
+    whole = CLEAR_GLASS if measured.sum() < MIN_DISCS else min(shares[measured].max(), CLEAR_GLASS)
+    hidden = np.where(measured, np.clip(1.0 - shares / whole, 0.0, 1.0), 0.0)
     moved_deg = 0.87 * np.degrees(SUN_RADIUS_RAD) * hidden
     return replace(discs, sigma_deg=np.hypot(discs.sigma_deg, moved_deg))
 
@@ -221,7 +223,9 @@ def _stack(
 ) -> _Stack:
     """Return the captures' luminances in the directions of one grid, as many as fit in memory.
 
-    seen: which directions [p, 3] a lens saw; usual: an earlier view, whose grid is taken over.
+    seen: which directions [p, 3] a lens saw, None if that is unknown; usual: view of the room's
+    usual state, whose grid is taken over. A pixel is kept if one of three captures (first, middle,
+    last) has its value.
     """
     count = len(captured.light)
     samples = [captured.read(k) for k in sorted({0, count // 2, count - 1})]
@@ -232,16 +236,16 @@ def _stack(
     rows = evenly_spread(count, maximum)
     lens = np.zeros(kept.size, bool) if seen is None else seen(grid.rays().reshape(-1, 3))
     in_lens = lens.reshape(kept.shape)
-    light = np.empty((len(rows), int(kept.sum())), np.float32)
+    luminance = np.empty((len(rows), int(kept.sum())), np.float32)
     for n, k in enumerate(rows.tolist()):
         progress(n, len(rows), "sky view")
         picture = captured.read(k)
         values = _placed(picture, grid)
         # what merge left out as too dark is between 0 and this: half of it
         values = np.where(np.isnan(values) & in_lens, 0.5 * picture.dark_cdm2, values)
-        light[n] = np.where(np.isinf(values), np.nan, values)[kept]
+        luminance[n] = np.where(np.isinf(values), np.nan, values)[kept]  # infinite: clipped
     usually = np.zeros(kept.shape) if usual is None else np.nan_to_num(usual.high)
-    return _Stack(grid, captured.light[rows], rows, kept, in_lens & ~kept, usually, light)
+    return _Stack(grid, captured.light[rows], rows, kept, in_lens & ~kept, usually, luminance)
 
 
 def _placed(picture: SkyPicture, grid: SkyGrid) -> Floats32:
@@ -284,7 +288,8 @@ def _decided(
 ) -> _Decided:
     """Return openness, transmittance and bounds in each direction.
 
-    reference: sky that is known to be in view, None to find it.
+    stack: the pictures; pose: of the camera; latitude_deg: of the place, None if the sun's path is
+    not to be used; reference: sky that is known to be in view, None to find it. Maps [h, w].
     """
     luminance, light, step_deg = stack.luminance_cdm2, stack.light, stack.grid.step_deg
     rays = pose.true_directions(stack.grid.rays()[stack.kept])
@@ -294,21 +299,23 @@ def _decided(
     relative = ratio / reference.brightest  # NaN if nothing follows the sky
     sky = (spread < _FOLLOWS) & (relative > _PANE_SHARE)
     pane = np.minimum(pane_transmittance(ratio, sky, step_deg), 1.0)  # [h, w]
+    # openness, and its standard uncertainty u
     openness, u = np.where(sky, np.clip(ratio / pane, 0.0, 1.0), 0.0), np.zeros(sky.shape)
     mixed = _sky_and_edge(sky) & ~np.isnan(ratio) & (openness < _OPEN)
     shut = stack.kept & ~_sky_and_edge(sky)
     if mixed.any() and shut.any():
-        at, front = stack.columns[mixed.ravel()], stack.columns[_nearest(shut)[mixed]]
+        at, in_front = stack.columns[mixed.ravel()], stack.columns[_nearest(shut)[mixed]]
         open_sky = reference.sky(light, rays[at]) * pane[mixed].astype(np.float32)
         shown = away_from_sun(luminance[:, at], light, rays[at])
-        openness[mixed], u[mixed] = sky_share(shown, open_sky, luminance[:, front])
+        openness[mixed], u[mixed] = sky_share(shown, open_sky, luminance[:, in_front])
     openness[openness < _SHUT] = 0.0
     low, high = _bounds(openness, u, mixed, pane, step_deg)
     apart = ~sky & ~mixed & (stack.placed(_sun_passes(rays, latitude_deg, pose)) > 0.0)
     # slats that are finer than a pixel show a disc at some heights of the sun: until there is more
     # evidence, between none and the disc without them
     slats = apart & (stack.usually > 0.0) & (ratio > _PANE_SHARE)
-    high, apart = np.where(slats, np.maximum(high, stack.usually), high), apart & ~slats
+    high = np.where(slats, np.maximum(high, stack.usually), high)
+    apart &= ~slats
     scatters = apart & (stack.placed(seen.forward) > _FORWARD_SCATTER) & (relative > _SCATTER_SHARE)
     bright = apart & (relative > _BRIGHT_SHARE) & (spread < _FOLLOWS_NOT)
     bright |= np.isnan(relative) & (ratio > _BRIGHT_SHARE)
@@ -367,7 +374,8 @@ def _over_seasons(decided: _Decided, stack: _Stack, latitude_deg: float | None) 
     """Return the view with wider bounds where sky of one season is dark in another, as by leaves.
 
     No capture shows when leaves come and fall: bounds there are from no disc to that of open sky.
-    The seasons that were captured decide it for their own days.
+    The seasons that were captured decide it for their own days. decided: the view of all captures,
+    whose pictures are `stack`; latitude_deg: as for `_decided`.
     """
     view, light, season = decided.view, stack.light, _season(stack.light)
     parts = [np.flatnonzero(season == k) for k in range(4)]
@@ -382,8 +390,8 @@ def _over_seasons(decided: _Decided, stack: _Stack, latitude_deg: float | None) 
     )
     quick = np.array([nan_percentiles(ratio, (50.0,))[0] for ratio in by_perez])
     likely = (quick.min(axis=0) < 0.7 * quick.max(axis=0)) & (quick.max(axis=0) > 0.7 * pane_sky)
-    sky, known = np.zeros(len(rays)), decided.reference
-    references = [replace(known, log_ratio=known.log_ratio[rows]) for rows in parts]
+    sky, whole = np.zeros(len(rays)), decided.reference
+    references = [replace(whole, log_ratio=whole.log_ratio[rows]) for rows in parts]
     for rows, reference in zip(parts, references, strict=True) if likely.any() else ():
         luminance = stack.luminance_cdm2[rows][:, likely]
         seen = follow(luminance, light[rows], rays[likely], reference)
@@ -399,8 +407,8 @@ def _over_seasons(decided: _Decided, stack: _Stack, latitude_deg: float | None) 
     for rows, reference, dark in zip(parts, references, hidden, strict=True):
         if len(rows) < _OF_SEASON:
             continue
-        own = _decided(stack.take(rows), view.pose, latitude_deg, reference)
-        of_season = own.view.where(changes & (own.sky | dark), view)
+        alone = _decided(stack.take(rows), view.pose, latitude_deg, reference)
+        of_season = alone.view.where(changes & (alone.sky | dark), view)
         seasons.append(replace(of_season, days=tuple(sorted({*_day(light[rows]).tolist()}))))
     return replace(decided, view=view, changes=changes, seasons=tuple(seasons))
 
@@ -409,6 +417,7 @@ def _sun_passes(rays: Floats, latitude_deg: float | None, pose: CameraPose) -> M
     """Return where the sun passes on some day of the year, of directions [p, 3]; True if unknown.
 
     It stays within the tropics' declination; the camera's heading and level have uncertainties.
+    latitude_deg: of the place, None: unknown.
     """
     if latitude_deg is None:
         return np.ones(len(rays), bool)
@@ -454,8 +463,9 @@ def _bounds(
 ) -> tuple[Floats, Floats]:
     """Return 95 % bounds of the beam's share, [h, w] each.
 
-    A mixed pixel blurs what its neighbours show, and one that is larger than the sun's disc may
-    show all of it or none.
+    openness, u: share of open sky and its standard uncertainty; mixed: pixels of sky and edge;
+    pane: transmittance; all [h, w]; step_deg: size of a pixel. A mixed pixel blurs what its
+    neighbours show, and one that is larger than the sun's disc may show all of it or none.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -544,18 +554,18 @@ def _checked(decided: _Decided, captured: Captured, covered: Sequence[datetime])
     captured = captured.take(np.flatnonzero(strong).tolist())
     suns = decided.view.pose.in_pictures(captured.light.apparent_sun_direction)
     without = _panes_without_disc(decided.view, decided.scatters, suns, captured.disc_share)
-    gain, views, found = _gain(decided.view, captured), [], dict.fromkeys(covered, _DARK)
+    gain, views, contradictions = _gain(decided.view, captured), [], dict.fromkeys(covered, _DARK)
     for view in (decided.view, *decided.seasons):
         holds = view.days_from(_day(captured.light)) <= REACH_DAYS + (not view.days)
         then = captured.take(np.flatnonzero(holds).tolist())
-        corrected, found_then = _corrected(_scaled(view, gain, without), then)
+        corrected, contradictions_then = _corrected(_scaled(view, gain, without), then)
         views.append(corrected)
-        found |= found_then
+        contradictions |= contradictions_then
     decided = replace(decided, scatters=decided.scatters & ~without)
     notes = _notes(decided) + decided.view.pose.notes
-    when = {f"{t:%Y-%m-%d %H:%M} UTC": found[t] for t in sorted(found)}
-    dark = [t for t in when if when[t] == _DARK]
-    if named := [f"{t} ({what} captured)" for t, what in when.items() if what != _DARK]:
+    shown = {f"{t:%Y-%m-%d %H:%M} UTC": contradictions[t] for t in sorted(contradictions)}
+    dark = [time for time, kind in shown.items() if kind == _DARK]
+    if named := [f"{time} ({kind} captured)" for time, kind in shown.items() if kind != _DARK]:
         notes += (
             f"{counted(len(named), 'capture')} contradicted the sky view, corrected there: "
             f"{listed(named, 3)}; check the heading and the clock",
@@ -632,7 +642,7 @@ def _corrected(view: SkyView, captured: Captured) -> tuple[SkyView, dict[datetim
 def _panes_without_disc(view: SkyView, scatters: Mask, suns: Floats, measured: Floats) -> Mask:
     """Return the scattering panes in which three captures show no disc and none shows one, [h, w].
 
-    suns [n, 3]; measured [n]: share of the beam.
+    suns [n, 3]; measured [n]: share of the beam. scatters: mask of the scattering panes [h, w].
     """
     from scipy.ndimage import label
 
@@ -691,7 +701,8 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
         level[narrow] = np.maximum(like_wide, through)[narrow]
     of_large = np.isin(labels, large)
     nearest = _nearest(of_large)
-    far = np.hypot(*(np.unravel_index(nearest, sky.shape) - np.indices(sky.shape)))
-    near = ~of_large & (far * step_deg <= _SMOOTH_DEG)
-    own = np.maximum(np.nan_to_num(through), 1e-6)
-    return np.where(of_large, level, np.where(near, np.maximum(level.flat[nearest], own), own))
+    distance_px = np.hypot(*(np.unravel_index(nearest, sky.shape) - np.indices(sky.shape)))
+    near_large = ~of_large & (distance_px * step_deg <= _SMOOTH_DEG)
+    single = np.maximum(np.nan_to_num(through), 1e-6)
+    beside = np.where(near_large, np.maximum(level.flat[nearest], single), single)
+    return np.where(of_large, level, beside)

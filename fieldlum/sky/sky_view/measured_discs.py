@@ -164,7 +164,8 @@ def fit_pose(
 def scaled(directions: Floats, scale: float, axis_deg: float) -> Floats:
     """Return directions [n, 3] with their angle from the axis times (1 + scale).
 
-    axis_deg: azimuth of the lens's axis; directions behind the camera count from a second lens's.
+    axis_deg: azimuth of the lens's axis; the angle of directions behind the camera is that from the
+    axis of a second lens, which faces backwards.
     """
     a = np.radians(axis_deg)
     ahead = np.array([np.sin(a), np.cos(a), 0.0])

@@ -89,10 +89,10 @@ def write_sky_picture(path: Path, picture: SkyPicture) -> None:
     minimum, maximum = _LOG10_RANGE
     light = np.asarray(picture.luminance_cdm2, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        step = (np.log10(np.maximum(light, 10.0**minimum)) - minimum) / (maximum - minimum)
-    code = np.where(np.isfinite(light), 1.0 + np.clip(step, 0.0, 1.0) * (_MAX_CODE - 1), 0.0)
+        share = (np.log10(np.maximum(light, 10.0**minimum)) - minimum) / (maximum - minimum)
+    code = np.where(np.isfinite(light), 1.0 + np.clip(share, 0.0, 1.0) * (_MAX_CODE - 1), 0.0)
     table = asdict(picture.grid)
-    del table["height"], table["width"]
+    del table["height"], table["width"]  # the shape of code
     with replacing(path) as file:
         np.savez_compressed(
             file,

@@ -64,7 +64,11 @@ class SkyReference:
     brightest: float
 
     def sky(self, light: Light, rays: Floats) -> Floats32:
-        """Return the sky's corrected luminance [n, p] cd/m2 in directions [p, 3]."""
+        """Return Perez's luminance for n hours in directions [p, 3], corrected, [n, p] cd/m2.
+
+        light: of the hours. The correction is the mean of `log_ratio` over the sky's directions,
+        weighted by their nearness; without such directions there is none.
+        """
         step = max(1, _CHUNK_VALUES // max(len(self.rays), 1))
         if len(rays) > step:
             chunks = (rays[k : k + step] for k in range(0, len(rays), step))

@@ -27,9 +27,9 @@ def heading_by_sky(
 ) -> tuple[float, float] | None:
     """Return the heading's correction and its standard uncertainty in degrees; None if unknown.
 
-    luminance: of p directions of open sky in n hours [n, p] cd/m2, NaN if unusable; rays [p, 3]:
-    their true directions by the heading so far; axis_deg: azimuth of the lens's axis. At least five
-    sunny hours with ten directions are needed.
+    light: of the hours; luminance: of p directions of open sky in n hours [n, p] cd/m2, NaN if
+    unusable; rays [p, 3]: their true directions by the heading so far; axis_deg: azimuth of the
+    lens's axis. At least five sunny hours with ten directions are needed.
     """
     sunny = np.flatnonzero(light.direct_lx > 5.0 * BEAM_LX)
     if len(sunny) < _MIN_HOURS or len(rays) < _MIN_DIRECTIONS:
@@ -37,10 +37,12 @@ def heading_by_sky(
     sunlit, days = light[sunny], np.array([t.toordinal() for t in light.t_utc])[sunny]
     heading, u = 0.0, np.inf
     for _ in range(10):
-        turned = [rays @ rotation(h, 0.0, 0.0, axis_deg).T for h in (heading, heading + _STEP_DEG)]
-        level = np.nanmedian(_log_ratio(luminance, light, turned[0]), axis=0)
-        off, ahead = (_log_ratio(luminance[sunny], sunlit, to) - level for to in turned)
-        turns, variances = _turns(off, (off - ahead) / _STEP_DEG, sunlit, turned[0])
+        turned = rays @ rotation(heading, 0.0, 0.0, axis_deg).T
+        ahead = rays @ rotation(heading + _STEP_DEG, 0.0, 0.0, axis_deg).T
+        level = np.nanmedian(_log_ratio(luminance, light, turned), axis=0)
+        off = _log_ratio(luminance[sunny], sunlit, turned) - level
+        off_ahead = _log_ratio(luminance[sunny], sunlit, ahead) - level
+        turns, variances = _turns(off, (off - off_ahead) / _STEP_DEG, sunlit, turned)
         usable = np.isfinite(turns)
         if usable.sum() < _MIN_HOURS:
             return None
@@ -56,7 +58,12 @@ def _log_ratio(luminance: Floats32, light: Light, rays: Floats) -> Floats:
 
 
 def _turns(off: Floats, slope: Floats, light: Light, rays: Floats) -> tuple[Floats, Floats]:
-    """Return the turn [n] that explains each hour's `off` [n, p], and its variance; NaN if none."""
+    """Return the turn [n] deg that explains each hour's `off`, and its variance; NaN if none.
+
+    off [n, p]: log of the measured over Perez's luminance in directions `rays` [p, 3]; slope [n,
+    p]: by how much one degree of turn raises `off`; light: of the n hours. A constant, a factor on
+    the log of the sky and a gradient over altitude are no turn: they are projected out.
+    """
     altitude = np.arcsin(np.clip(rays[:, 2], -1.0, 1.0))
     usable = np.isfinite(off) & np.isfinite(slope)
     sky = np.log(np.maximum(light.sky_at(rays), 1e-3))
@@ -66,17 +73,21 @@ def _turns(off: Floats, slope: Floats, light: Light, rays: Floats) -> tuple[Floa
             continue
         symmetric = np.stack([np.ones(at.sum()), sky[k, at], altitude[at]], axis=1)
         basis, _ = np.linalg.qr(symmetric - [0.0, *symmetric[:, 1:].mean(axis=0)])
-        y, x = (v - basis @ (basis.T @ v) for v in (off[k, at], slope[k, at]))
-        size = float(x @ x)
+        off_rest = off[k, at] - basis @ (basis.T @ off[k, at])
+        slope_rest = slope[k, at] - basis @ (basis.T @ slope[k, at])
+        size = float(slope_rest @ slope_rest)
         if size > 1e-9:
-            turns[k] = x @ y / size
-            residual = y - turns[k] * x
-            variances[k] = (residual @ residual / len(y) + 1e-4) / size
+            turns[k] = slope_rest @ off_rest / size
+            residual = off_rest - turns[k] * slope_rest
+            variances[k] = (residual @ residual / len(residual) + 1e-4) / size
     return turns, variances
 
 
 def _mean(turns: Floats, variances: Floats, days: np.ndarray) -> tuple[float, float]:
-    """Return the robust mean of hours, and its uncertainty: by their scatter, or between days."""
+    """Return the robust mean of hours, and its uncertainty: by their scatter, or between days.
+
+    turns, variances: of each hour [n] deg, deg2; days: the day of each hour [n].
+    """
     mean, weight = float(np.median(turns)), 1.0 / variances
     for _ in range(30):
         # Neighbouring directions have the same clouds: an hour is less certain by a common factor.

@@ -212,7 +212,10 @@ class SkyView:
 
 
 def _check(grid: SkyGrid, arrays: dict[str, Floats32], frame: str) -> None:
-    """Raise ValueError for another frame, an impossible grid, or shares outside 0 to 1."""
+    """Raise ValueError for another frame, an impossible grid, or shares outside 0 to 1.
+
+    arrays: the channels by name, [h, w] each.
+    """
     if frame != FRAME:
         raise ValueError(f"azimuths from {frame!r} instead of {FRAME!r}")
     if any(array.shape != (grid.height, grid.width) for array in arrays.values()):
@@ -234,12 +237,13 @@ def _check(grid: SkyGrid, arrays: dict[str, Floats32], frame: str) -> None:
 
 
 def _content(path: Path) -> tuple[dict[str, Any], list[dict[str, Floats32]]]:
-    exr_headers(path)
+    """Return the header of a file and the channels of each of its views by name, [h, w] each."""
+    exr_headers(path)  # raises InputError for a file that is no .exr
     with opened_exr(path, separate_channels=True) as exr:
         about = json.loads(str(exr.header()["fieldlum:sky_view"]))
         stored, views = exr.channels(), 1 + len(about.get("others", ()))
         return about, [
-            {n: np.asarray(stored[_layer(k) + n].pixels, np.float32).copy() for n in CHANNELS}
+            {c: np.asarray(stored[_layer(k) + c].pixels, np.float32).copy() for c in CHANNELS}
             for k in range(views)
         ]
 
@@ -252,8 +256,9 @@ def _layer(k: int) -> str:
 def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
     """Return best, low and high [3, h, w] enlarged by `factor`, with sharp edges.
 
-    The shortest edges between sky and what is in front of it give each pixel its openness. Where
-    mixed pixels fill a square, slats or leaves keep their mean.
+    maps [3, h, w], openness [h, w]: at the view's own resolution. The shortest edges between sky
+    and what is in front of it give each pixel its openness. Where mixed pixels fill a square, slats
+    or leaves keep their mean.
     """
     from scipy.ndimage import binary_opening, find_objects, maximum_filter
 
@@ -325,13 +330,13 @@ def _blurred(
     import cv2
 
     step = max(1, factor // _BLUR_STEPS)
-    size = values.shape[1] // step, values.shape[0] // step
+    size = (values.shape[1] // step, values.shape[0] // step)
     small = np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float32)
     return np.asarray(cv2.resize(blur(small, factor / step), values.shape[::-1]), np.float32)
 
 
 def _along_edges(values: Floats32, pixel: float) -> Floats32:
-    """Return a map blurred along its edges and bars; pixel: size of a blurred pixel in it.
+    """Return a map [h, w] blurred along its edges and bars; pixel: size of a blurred pixel in it.
 
     Each place takes that of eight long Gaussians which differs most from a round one.
     """

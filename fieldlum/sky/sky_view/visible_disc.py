@@ -89,7 +89,10 @@ def _over_disc(view: SkyView, suns: Floats) -> Floats:
 
 
 def disc_points(suns: Floats) -> Floats:
-    """Return unit vectors to 37 points of equal area in the sun's disc, [n, 37, 3]."""
+    """Return unit vectors to 37 points of equal area in the sun's disc, [n, 37, 3].
+
+    suns: unit vectors to its centre [n, 3].
+    """
     side = np.cross(suns, (0.0, 0.0, 1.0))
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
     other = np.cross(suns, side)

@@ -184,15 +184,17 @@ def glare_directions(
     """
     maps = np.asarray(luminance_cdm2, np.float32)
     map_ev = map_ev_lx(maps, views)
-    found = sources or [glare_sources(image, views) for image in maps]
-    hour = np.repeat(np.arange(len(maps)), [len(each.pixels) for each in found])
-    figures = zip(*(each[:5] for each in found), strict=True)
-    mean, omega, right, up, ev = map(np.concatenate, figures)
-    source_ev, of_sources = np.zeros_like(map_ev), np.zeros((len(maps), 3, map_ev.shape[1]))
+    by_map = sources or [glare_sources(image, views) for image in maps]
+    hour = np.repeat(np.arange(len(maps)), [len(one_map.pixels) for one_map in by_map])
+    # all maps' sources one after another, [s, d] each
+    columns = zip(*(one_map[:5] for one_map in by_map), strict=True)
+    mean, omega, right, up, ev = map(np.concatenate, columns)
+    source_ev = np.zeros_like(map_ev)
     np.add.at(source_ev, hour, ev)
     # CIE 117: the background is the part of Ev that is not from the sources.
     background = np.maximum(map_ev - source_ev, 0.0) / np.pi
     terms = source_terms(mean, omega, right, up, ev, background[hour])
+    of_sources = np.zeros((len(maps), len(terms), map_ev.shape[1]))
     np.add.at(of_sources, hour, terms.swapaxes(0, 1))
     sun = np.zeros((len(maps), 3)) if sun_direction is None else sun_direction
     disc = np.zeros((len(maps), 1)) if disc_lx is None else np.asarray(disc_lx, float)[..., None]
@@ -200,7 +202,7 @@ def glare_directions(
     sun_ev, sun_cdm2 = disc * np.clip(cosine, 0.0, None), disc * (cosine > 0) / SUN_SOLID_ANGLE_SR
     terms = source_terms(sun_cdm2, np.asarray(SUN_SOLID_ANGLE_SR), right, up, sun_ev, background)
     all_ev = sun_ev.reshape(-1, *map_ev.shape).sum(axis=0)
-    of_suns = terms.reshape(3, -1, *map_ev.shape).sum(axis=1)
+    of_suns = terms.reshape(len(terms), -1, *map_ev.shape).sum(axis=1)
     sums = of_sources.swapaxes(0, 1) + of_suns
     view = ViewSums(map_ev + all_ev, source_ev + all_ev, background, *sums)
     parts = {"contrast": view.contrast, "sun_contrast": of_suns[0], "sun_ev_lx": all_ev}

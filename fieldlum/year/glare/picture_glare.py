@@ -135,7 +135,7 @@ def glare_answer(
     if reference:
         _add_reference(rows, pixels, picture, views, sun)
     graded = [np.nan if row["seen"] == projection.NOT_SEEN else row["dgp"] for row in rows]
-    texts = *_picture_texts(picture, seen_mask), *warnings, *_figure_texts(rows, share, factor)
+    texts = (*_picture_texts(picture, seen_mask), *warnings, *_figure_texts(rows, share, factor))
     answer: JsonTable = {
         "file": str(path),
         "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
@@ -162,7 +162,7 @@ def _view_rows(
     parts = metrics.glare_directions(pixels[None], views, rays, disc, sources=[sources])
     brightest = metrics.brightest_cdm2(pixels[None], views)
     bounds = metrics.unseen_dgp_bounds(coverage, parts["ev_lx"], parts["contrast"], brightest)
-    light = pixels.ravel(), views.illuminance, sun, parts["sun_ev_lx"][0]
+    light = (pixels.ravel(), views.illuminance, sun, parts["sun_ev_lx"][0])
     edi, u_edi = melanopic_edi(picture.panorama, *light, lamps=picture.lamps)
     figures = {name: parts[name] for name in metrics.METRICS}
     figures |= metrics.region_ratios(pixels[None], metrics.region_weights(views))
@@ -205,15 +205,18 @@ def _source_rows(sources: Sources) -> list[dict[str, float]]:
 def _add_reference(
     rows: list[JsonTable], pixels: Floats, picture: Picture, views: Views, sun: SunSource | None
 ) -> None:
-    """Add evalglare's figures to the rows; of a panorama, to those of fully seen directions."""
+    """Add evalglare's figures to the rows; of a panorama, to those of fully seen directions.
+
+    rows: one for each of `views`, changed in place; pixels: luminance [H, W] cd/m2 without the
+    sun's disc, which is drawn from `sun`.
+    """
     heading_deg, view = picture.panorama.heading_deg, picture.view
     for row in rows:
         if view is not None:
             disc = 0.0 if sun is None else pictures.disc_pixels(views, pixels.shape, sun)
             row["reference"] = pictures.reference_glare(pixels + disc, view=view.text)._asdict()
         elif row["seen"] == projection.SEEN:
-            facing = heading_deg, row["azimuth_deg"]
-            shown = pictures.panorama_to_fisheye(pixels, *facing, sun=sun)
+            shown = pictures.panorama_to_fisheye(pixels, heading_deg, row["azimuth_deg"], sun=sun)
             row["reference"] = pictures.reference_glare(shown)._asdict()
 
 
@@ -250,7 +253,7 @@ def take_out_sun(
     disc = None if recorded else find_disc(luminance_cdm2, heading_deg)
     if disc is None:
         return luminance_cdm2, recorded
-    place = disc.altitude_deg, disc.azimuth_deg
+    place = (disc.altitude_deg, disc.azimuth_deg)
     sun = SunSource(*place, normal_illuminance_lx=disc.normal_lx, origin="picture")
     return without_disc(luminance_cdm2, disc), sun
 
@@ -265,7 +268,10 @@ def plain(value: float) -> float | None:
 
 
 def _picture_texts(picture: Picture, seen_mask: Mask) -> Iterator[str]:
-    """Yield the reader's notes, and warnings of unseen, dark and clipped pixels."""
+    """Yield the reader's notes, and warnings of unseen, dark and clipped pixels.
+
+    seen_mask: pixels that a lens saw [H, W].
+    """
     panorama = picture.panorama
     if picture.view is None and not seen_mask.all():
         yield (
@@ -290,7 +296,11 @@ def _picture_texts(picture: Picture, seen_mask: Mask) -> Iterator[str]:
 
 
 def _figure_texts(rows: Sequence[Mapping[str, Any]], share: float, factor: float) -> Iterator[str]:
-    """Yield warnings of a small picture, more light than sun and sky give, and darkness."""
+    """Yield warnings of a small picture, more light than sun and sky give, and darkness.
+
+    rows: figures of each view; share: of the hemisphere in front that the picture covers; factor:
+    by which its luminance was multiplied (--calibrate-ev), 1 if it was not.
+    """
     if share < projection.FULLY_SEEN_SHARE:
         yield (
             f"the picture covers {100 * share:.0f} % of the hemisphere in front: Ev is a lower "

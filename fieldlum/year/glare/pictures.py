@@ -168,7 +168,7 @@ def picture_views(
         ahead &= seen_mask
     flat, azimuths = weights.reshape(-1, 4, 1), np.array([view.azimuth_deg])
     hemisphere = np.array([[np.pi], [2.0 * np.pi], [0.0], [0.0], [HEMISPHERE_SOURCES_SR]])
-    parts = view.frame[None], flat[:, 0], flat[:, 1:], ahead.reshape(-1, 1), hemisphere
+    parts = (view.frame[None], flat[:, 0], flat[:, 1:], ahead.reshape(-1, 1), hemisphere)
     return Views(azimuths, *parts, is_panorama=False)
 
 
@@ -239,7 +239,8 @@ def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> tuple[Floats,
     x, y : [...] coordinates of the points, from -1/2 to 1/2 over the picture, x to the right, y
     upwards; the view's shift and lift are added to them. A direction is a unit vector (right, up,
     forward) along the axes of the view. The solid angle, in sr, is that of the complete picture if
-    it had the same everywhere; 0 where the mapping has no direction.
+    it had the same everywhere; 0 where the mapping has no direction. view.kind: one of "a"
+    (equidistant), "h" (hemispherical), "s" (stereographic), else perspective.
     """
     reach = [_reach(view.kind, angle) for angle in (view.horizontal_deg, view.vertical_deg)]
     right, up = np.asarray(x, float) + view.shift, np.asarray(y, float) + view.lift

@@ -76,7 +76,7 @@ def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> Floats:
     tau = np.degrees(np.arctan2(np.abs(right), np.abs(up)))
     linear = (35.2 - 0.31889 * tau - 1.22 * np.exp(-2.0 * tau / 9.0)) / 1000.0
     square = (21.0 + 0.26667 * tau - 0.002963 * tau**2) / 100_000.0
-    above = np.exp(linear * sigma + square * sigma**2)
+    above = np.exp(linear * sigma + square * sigma**2)  # sigma, tau: Guth's angles in degrees
     wider = np.sqrt(1.0 + 0.3225 * np.cos(np.radians(tau)) ** 2)
     slope = np.tan(np.minimum(angle, np.pi / 2 - 1e-6)) * wider
     beta = np.degrees(np.arctan(slope))
@@ -218,7 +218,10 @@ def group_pixels(mask: Mask) -> NDArray[np.int32]:
 
 
 def _joined_at_seam(labels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Join sources that meet across the panorama's seam, or at the zenith or nadir."""
+    """Join sources that meet across the panorama's seam, or at the zenith or nadir.
+
+    labels [H, W]: number of the source of each pixel, 0 for none.
+    """
     if labels.max() < 2:
         return labels
     left, right = labels[:, 0], labels[:, -1]
@@ -254,7 +257,10 @@ class Sources(NamedTuple):
 
 
 def glare_sources(luminance_cdm2: Floats, views: Views) -> Sources:
-    """Return the glare sources of a picture [H, W] with the weights `views`."""
+    """Return the glare sources of a picture [H, W] cd/m2 with the weights `views`.
+
+    The centre of a source is the mean of its pixels' coordinates, weighted by their light.
+    """
     pixels = sources_of(luminance_cdm2, None if views.is_panorama else views)
     chosen = np.concatenate([np.zeros(0, np.int64), *pixels])
     starts = np.cumsum([0, *map(len, pixels)])[:-1]
@@ -263,11 +269,11 @@ def glare_sources(luminance_cdm2: Floats, views: Views) -> Sources:
     def total(values: Floats) -> Floats:
         return np.add.reduceat(values, starts, axis=0, dtype=float)
 
-    omega, right, up = np.moveaxis(views.moments[chosen], 1, 0)  # [n, d] each
+    omega, right_moment, up_moment = np.moveaxis(views.moments[chosen], 1, 0)  # [n, d] each
     power, area = np.maximum(total(bright * omega), 1e-30), total(omega)
-    mean, ev_lx = power / np.maximum(area, 1e-30), total(bright * views.illuminance[chosen])
-    right, up = (total(bright * moment) / power for moment in (right, up))
-    return Sources(mean, area, right, up, ev_lx, pixels)
+    mean_cdm2, ev_lx = power / np.maximum(area, 1e-30), total(bright * views.illuminance[chosen])
+    right, up = total(bright * right_moment) / power, total(bright * up_moment) / power
+    return Sources(mean_cdm2, area, right, up, ev_lx, pixels)
 
 
 def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[NDArray[np.int64]]:

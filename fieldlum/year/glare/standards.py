@@ -173,7 +173,11 @@ def _sentence(row: DirectionYear) -> str:
 def _interval(
     dgp: Floats, u_common: Floats, occupied_hours: int, rng: Generator, uncertainty: DgpUncertainty
 ) -> tuple[Floats, Floats]:
-    """Return the ends of the 95 % interval of dgp_exceeded for each direction, [d] each."""
+    """Return the ends of the 95 % interval of dgp_exceeded for each direction, [d] each.
+
+    dgp [n, d]: of the lit occupied hours; u_common [n, d]: standard uncertainty by an error that
+    all hours share; occupied_hours: lit and dark ones; uncertainty: of the same hours.
+    """
     ends = []
     bounds = np.stack([uncertainty.minimum, uncertainty.maximum])  # [2, n, d]
     for k in range(DRAWS):

@@ -107,7 +107,7 @@ class _Scene(NamedTuple):
         parts = glare_directions(light[None], grid, rays, lx)
         figures = {"DGP": parts["dgp"][0], "Ev": parts["ev_lx"][0]}
         if melanopic_ratio(panorama) is not None:
-            of_map = panorama, light.ravel(), grid.illuminance, sun, parts["sun_ev_lx"][0]
+            of_map = (panorama, light.ravel(), grid.illuminance, sun, parts["sun_ev_lx"][0])
             figures["melanopic EDI"] = melanopic_edi(*of_map, lamps=self.picture.lamps)[0]
         ahead = (azimuths - panorama.heading_deg) / 360.0 * width + width / 2
         column = np.floor(ahead).astype(int) % width
@@ -123,7 +123,8 @@ def budget_of_file(path: Path, azimuths_deg: Sequence[float], lamps: bool | None
     """Return `picture_budget` of a panorama on disk, with the heading's u by its session.
 
     It is that of the sky view's pose, else the one of a compass. Raises InputError for an unusable
-    picture, or one that is no panorama.
+    picture, or one that is no panorama. azimuths_deg: of the views; lamps: whether lamps are on,
+    None for unknown.
     """
     picture = read_picture(path)
     if picture.view is not None:
@@ -193,7 +194,7 @@ def camera_changes(u_rel: Mapping[str, float], figure: Floats) -> list[tuple[Sou
 
 
 def camera_share(budgets: Sequence[Budget]) -> float:
-    """Return the camera's calibration's share of the variances of `budgets`, 0 to 1."""
+    """Return the share of the camera's calibration in the variance of all `budgets`, 0 to 1."""
     sources = [source for each in budgets for source in each.sources]
     camera = sum(s.contribution**2 for s in sources if s.name.startswith(CAMERA))
     return camera / max(sum(s.contribution**2 for s in sources), 1e-12)
@@ -209,35 +210,36 @@ def budgets_of_year(
 ) -> list[Budget]:
     """Return the budgets of a year's figures: functions of the values of n hours in d directions.
 
-    figures: of values [n, d], by name, [d] each. changes: for each source what one u adds to the
-    values: [n, d], by an error of all hours, or as `standards.year_errors` for those of `MODEL`; or
-    draws [m, n, d]. unseen: what the unseen part adds to the figures.
+    figures: of values [n, d], by name, [d] each. unit: of figures that are not in `UNITS`. changes:
+    for each source what one u adds to the values: [n, d], by an error of all hours, or as
+    `standards.year_errors` for those of `MODEL`; or draws [m, n, d]. unseen: what the unseen part
+    adds to the figures.
 
     The figures are no linear functions: u is the rms difference from the estimate of all sources
     drawn together (JCGM 101:2008), and those of each source alone are scaled so that their squares
     add up to it. It is NaN for a model that states no error.
     """
-    rng, shape = np.random.default_rng(0), values.shape
-    sources, at = [source for source, _ in changes], figures(values)
+    rng, shape, estimate = np.random.default_rng(0), values.shape, figures(values)
 
     def error(source: Source, change: Floats) -> Floats:
         if change.ndim == 3:
             return change[rng.integers(len(change))]
-        half = source.shared_by == MODEL.shared_by
-        return change * (standards.year_errors(shape, rng) if half else rng.standard_normal())
+        by_hour = source.shared_by == MODEL.shared_by
+        return change * (standards.year_errors(shape, rng) if by_hour else rng.standard_normal())
 
     def spread(drawn: Sequence[dict[str, Floats]]) -> dict[str, Floats]:
-        off = {name: np.array([draw[name] for draw in drawn]) - at[name] for name in at}
+        off = {name: np.array([draw[name] for draw in drawn]) - estimate[name] for name in estimate}
         return {name: np.sqrt(np.mean(part**2, axis=0)) for name, part in off.items()}
 
-    draws = []
+    draws = []  # the figures with errors of all sources together, then of each source alone
     for _ in range(standards.DRAWS):
-        errors = [error(*each) for each in changes]
+        errors = [error(source, change) for source, change in changes]
         draws.append([figures(values + off) for off in (sum(errors), *errors)])
-    total, *parts = (spread(of_source) for of_source in zip(*draws, strict=True))
-    sums = {name: np.linalg.norm([part[name] for part in parts], axis=0) for name in at}
-    scaled = [{k: part[k] * total[k] / np.maximum(sums[k], 1e-12) for k in at} for part in parts]
-    return _budgets(at, azimuths_deg, [*zip(sources, scaled, strict=True), unseen], unit)
+    total, *parts = (spread(drawn) for drawn in zip(*draws, strict=True))
+    sums = {name: np.linalg.norm([part[name] for part in parts], axis=0) for name in estimate}
+    scaled = [{n: p[n] * total[n] / np.maximum(sums[n], 1e-12) for n in estimate} for p in parts]
+    rows = [(source, part) for (source, _), part in zip(changes, scaled, strict=True)]
+    return _budgets(estimate, azimuths_deg, [*rows, unseen], unit)
 
 
 def _budgets(
@@ -245,13 +247,15 @@ def _budgets(
 ) -> list[Budget]:
     """Return a budget for each direction and figure; `rows` has what each source adds, [d].
 
-    unit: of figures that are not in `UNITS`.
+    at: the figures' estimates by name, [d] each; azimuths: of the directions [d] deg; unit: of
+    figures that are not in `UNITS`.
     """
 
     def budget(name: str, i: int) -> Budget:
-        sources = (s._replace(contribution=float(c[name][i])) for s, c in rows if name in c)
-        of, estimate = UNITS.get(name, unit), float(at[name][i])
-        return Budget(name, of, float(azimuths[i]), estimate, tuple(sources))
+        adding = [(source, added[name][i]) for source, added in rows if name in added]
+        sources = tuple(source._replace(contribution=float(share)) for source, share in adding)
+        estimate = float(at[name][i])
+        return Budget(name, UNITS.get(name, unit), float(azimuths[i]), estimate, sources)
 
     places = range(len(azimuths))
     return [budget(name, i) for i in places for name in at if np.isfinite(at[name][i])]
@@ -330,7 +334,10 @@ def _of_pixels(scene: _Scene) -> Iterator[Contribution]:
 
 
 def _of_sun_and_views(scene: _Scene, u_heading_deg: float) -> Iterator[Contribution]:
-    """Yield what the sun's disc, the heading and the melanopic colour add to u of each figure."""
+    """Yield what the sun's disc, the heading and the melanopic colour add to u of each figure.
+
+    scene: the picture in its view directions; u_heading_deg: standard uncertainty of its heading.
+    """
     if scene.sun is not None:
         change, name = scene.half_range(more_sun=U_DISC), "illuminance of the sun's disc"
         yield of_share(name, "B", U_DISC, "disc"), change

@@ -61,7 +61,7 @@ def dataset_of(
     import xarray as xr
 
     about = {"units": "degree", "long_name": "view direction, clockwise from true north"}
-    azimuth = "azimuth", np.asarray(azimuths_deg, float), about
+    azimuth = ("azimuth", np.asarray(azimuths_deg, float), about)
     figures = {
         name: (dimensions, values, {"units": unit_of(name)})
         for dimensions, table in (("time", hours), (("time", "azimuth"), views))

@@ -363,25 +363,25 @@ def relative_uncertainty(
 
     All are [k, d], of k hours in d directions. They are NaN where the model does not state its
     error. Errors of the pixels of one picture count as fully correlated, because a model is often
-    too bright or too dark on a complete wall. The disc has 5 %. figures: the result of
-    `glare_directions`.
+    too bright or too dark on a complete wall. The disc has 5 %. block: the hours; views: weights in
+    the directions; figures: the result of `glare_directions`.
     """
     predicted, maps = block.prediction, block.prediction.luminance_cdm2
     if predicted.log10_sd is None:
-        of_ev = np.log(10.0) * np.sqrt(np.asarray(predicted.expected_mse))[:, None]
-        of_ev = of_source = np.broadcast_to(of_ev, figures["ev_lx"].shape)
+        rms = np.log(10.0) * np.sqrt(np.asarray(predicted.expected_mse))[:, None]
+        of_map_ev = of_sources = np.broadcast_to(rms, figures["ev_lx"].shape)
     else:
         u_rel = np.float32(np.log(10.0)) * predicted.log10_sd
-        power = np.where(maps > SOURCE_CDM2, maps, np.float32(0.0)) ** 2
-        ev_lx = figures["ev_lx"] - figures["sun_ev_lx"], metrics.map_ev_lx(power, views)
-        of_ev, of_source = (
-            metrics.map_ev_lx(light * u_rel, views) / np.maximum(lx, 1e-6)
-            for light, lx in zip((maps, power), ev_lx, strict=True)
-        )
+        map_ev_lx = figures["ev_lx"] - figures["sun_ev_lx"]
+        of_map_ev = metrics.map_ev_lx(maps * u_rel, views) / np.maximum(map_ev_lx, 1e-6)
+        # u of the sources is the mean over their pixels, weighted by L^2 as in DGP's contrast
+        weight = np.where(maps > SOURCE_CDM2, maps, np.float32(0.0)) ** 2
+        sums = metrics.map_ev_lx(weight, views)
+        of_sources = metrics.map_ev_lx(weight * u_rel, views) / np.maximum(sums, 1e-6)
     share_ev = figures["sun_ev_lx"] / np.maximum(figures["ev_lx"], 1e-6)
     share = figures["sun_contrast"] / np.maximum(figures["contrast"], 1e-30)
-    u_ev_rel = np.hypot((1.0 - share_ev) * of_ev, share_ev * U_DISC)
-    return of_ev, u_ev_rel, np.hypot((1.0 - share) * of_source, share * U_DISC)
+    u_ev_rel = np.hypot((1.0 - share_ev) * of_map_ev, share_ev * U_DISC)
+    return of_map_ev, u_ev_rel, np.hypot((1.0 - share) * of_sources, share * U_DISC)
 
 
 def _images(block: HourBlock, views: Views, count: int) -> Iterator[metrics.DiscLight]:
@@ -458,9 +458,10 @@ def predict_figures(
 ) -> HourFigures:
     """Predict every hour of `light`, and return the figures in d view directions.
 
-    azimuths_deg: of the directions [d]; store: of maps, None to write none; melanopic: colours by
-    the captures, None without any; seed: of random draws; scheduler: where hours are predicted. A
-    unit of work has 64 hours; the last may have fewer. Raises the errors of `blocks`.
+    model_folder: the model's; room: its pose and setup; azimuths_deg: of the directions [d]; store:
+    of maps, None to write none; melanopic: colours by the captures, None without any; seed: of
+    random draws; scheduler: where hours are predicted. A unit of work has 64 hours; the last may
+    have fewer. Raises the errors of `blocks`.
     """
     model = model_folder.resolve()
     folder = Path(os.path.commonpath([model, *([store.resolve()] if store else [])]))

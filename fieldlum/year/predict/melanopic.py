@@ -77,7 +77,7 @@ class MelanopicYear:
             return np.maximum(values, 0.0) * of.total_lx[:, None]
 
         whole = np.maximum(ev_lx(light), MIN_LX)
-        less = _without_sun(light), replace(light, states=None)
+        less = (_without_sun(light), replace(light, states=None))
         sun, lamp = (np.clip(1.0 - ev_lx(part) / whole, 0.0, 1.0) for part in less)
         return np.minimum(sun, 1.0 - lamp), lamp
 
@@ -106,7 +106,7 @@ class MelanopicYear:
         drawn = ((drawn_lx - views["ev_lx"]) * sun_ratio).astype(np.float32)
         unseen = unseen_lx * ratio / np.sqrt(3.0)  # rms of 0 to this, about 0
         of_ratio = np.sqrt(self.u_rel**2 + u_map_rel**2 + u_lamp_rel**2)
-        parts = of_map * of_ratio, of_sun * melanopic.U_SUN, unseen
+        parts = (of_map * of_ratio, of_sun * melanopic.U_SUN, unseen)
         u = np.sqrt(sum(part**2 for part in parts) + (drawn**2).mean(axis=0))
         return {
             "melanopic_edi_lx": of_map + of_sun,
@@ -152,14 +152,15 @@ def fit_year(
     day = np.array([t.toordinal() for t in light.t_utc])
 
     def fitted(rows: Mask) -> MelanopicYear:
+        """Return the fit to some of the captures, a mask [n]."""
         kernel, used = Kernel(facades), light[rows]
         features = _features(used)
         # The variance of a capture is the middle one of the transport model's `NOISES`.
         covariance = kernel(features, features) + 1e-2 * np.eye(len(used))
         relative = ev_lx[rows] / used.total_lx[:, None]
         coefficients = np.linalg.solve(covariance, relative)
-        start = _TYPICAL, np.ones(ratio.shape[1])
-        year = MelanopicYear(kernel, features, coefficients, u_camera_rel, *start)
+        factors = np.ones(ratio.shape[1])
+        year = MelanopicYear(kernel, features, coefficients, u_camera_rel, _TYPICAL, factors)
         weights, factors = _solve(_parts(used, *year.shares(used)), ratio[rows])
         return replace(year, weights=weights, factors=factors)
 
@@ -172,12 +173,16 @@ def fit_year(
 
 
 def _solve(parts: Floats, ratio: Floats) -> tuple[Floats, Floats]:
-    """Return the weights [4] by relative least squares, and the factors [d]."""
+    """Return the weights [4] by relative least squares, and the factors of the directions [d].
+
+    parts: what the weights multiply, by `_parts` [n, d, 4]; ratio: melanopic over
+    photopic illuminance of the captures [n, d]. Few captures are pulled towards typical weights.
+    """
     rows = (parts / ratio[..., None]).reshape(-1, len(_TYPICAL))
     size = np.maximum(np.sqrt((rows**2).mean(axis=0)), 1e-3)  # of no use without lamps
     pull = np.sqrt(_PRIOR * ratio.shape[1]) * np.diag(size)
-    stacked = np.concatenate([rows, pull]), np.concatenate([np.ones(len(rows)), pull @ _TYPICAL])
-    weights = np.linalg.lstsq(*stacked, rcond=None)[0]
+    right = np.concatenate([np.ones(len(rows)), pull @ _TYPICAL])
+    weights = np.linalg.lstsq(np.concatenate([rows, pull]), right, rcond=None)[0]
     count = len(ratio)
     off = (ratio / (parts @ weights)).mean(axis=0) - 1.0
     return weights, 1.0 + off * count / (count + _PRIOR)
@@ -203,8 +208,9 @@ def year_of_captures(
 ) -> MelanopicYear:
     """Fit the ratio to the pictures of a pairs.csv, in view directions [d].
 
-    u_camera_rel: relative standard uncertainty by each part of the camera's calibration.
-    Raises NotEnoughDataError if no picture has melanopic colour.
+    room: of the model, whose pose the pictures have; azimuths_deg: of the directions; u_camera_rel:
+    relative standard uncertainty by each part of the camera's calibration. Raises
+    NotEnoughDataError if no picture has melanopic colour.
     """
     views = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg, room.seen)
     usable = [row for row in PairsFile.find(pairs).usable if row.panorama and not row.sun_in_map]
@@ -220,7 +226,8 @@ def year_of_captures(
             rows, u_rel = [*rows, row], max(u_rel, colour[1])
     if not rows:
         raise NotEnoughDataError(f"{pairs}: no picture has melanopic colour; merge them again")
-    dni, dhi = (np.array([getattr(row, name) for row in rows]) for name in ("dni_wm2", "dhi_wm2"))
+    dni = np.array([row.dni_wm2 for row in rows])
+    dhi = np.array([row.dhi_wm2 for row in rows])
     light = light_at([row.t_utc for row in rows], room.setup.site, dni, dhi)
     light = replace(light, states=states_of(pairs, rows))
     ev_lx, edi_lx = np.moveaxis(np.array(eye_lx), 1, 0)
@@ -267,7 +274,7 @@ class YearHours:
         enough = edi_lx[(self.hour >= first) & (self.hour < last)] >= BROWN_EDI_LX
         count = {ENOUGH_HOURS: enough.sum(axis=0) / (last - first)}
         rows, first = np.isin(self.hour, range(*WELL_HOURS)), WELL_HOURS[0]
-        at = self.hour[rows] - first, self.day[rows]
+        at = (self.hour[rows] - first, self.day[rows])
         least = np.zeros((WELL_HOURS[1] - first, int(at[1].max(initial=0)) + 1, edi_lx.shape[1]))
         least[at] = edi_lx[rows]
         days = (least.min(axis=0) >= np.array(WELL_EDI_LX)[:, None, None]).sum(axis=1)
@@ -281,7 +288,8 @@ def edi_budget(
 ) -> list[budget.Budget]:
     """Return the budgets of `YearHours.shares`, for each direction.
 
-    views: results of `MelanopicYear.figures` for all hours. Another year's weather is not in it.
+    colours: the fit; views: results of `MelanopicYear.figures` for all hours; azimuths_deg: of the
+    directions. Another year's weather is not in it.
     """
     edi, of_map = views["melanopic_edi_lx"], views["edi_of_map_lx"]
     share, of_sun, u_sun = budget.of_share, edi - of_map, melanopic.U_SUN_RATIO
@@ -298,5 +306,5 @@ def edi_budget(
         (share("colour of the sun's disc", "B", u_sun), of_sun * u_sun),
         (budget.DISC_SEEN, np.moveaxis(views["edi_by_disc_lx"], -1, 0)),
     ]
-    unseen = budget.UNSEEN, {name: more[name] - at[name] for name in at}
+    unseen = (budget.UNSEEN, {name: more[name] - at[name] for name in at})
     return budget.budgets_of_year(hours.shares, edi, azimuths_deg, changes, unseen, "%")

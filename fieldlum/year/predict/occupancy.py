@@ -105,6 +105,7 @@ def _days(text: str) -> Iterator[int]:
 
 
 def _hourly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]], column: int) -> Occupancy:
+    """Return the occupancy of a csv with 0 or 1 for each hour; rows: (line number, cells)."""
     if len(rows) != 8760:
         raise InputError(path, f"{len(rows)} rows", HOW, "write a row for each hour")
     for number, row in rows:

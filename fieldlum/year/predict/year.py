@@ -140,7 +140,10 @@ def run(
 def _about(
     room: ModelRoom, config: ModelConfig, weather: Weather, light: Light, azimuths: Floats
 ) -> PredictFile:
-    """Return what predict.json states about model, weather and hours."""
+    """Return what predict.json states about model, weather and hours.
+
+    azimuths: of the view directions [d] deg.
+    """
     return PredictFile(
         software={"fieldlum": __version__},
         model=config.model,
@@ -175,11 +178,12 @@ def _judged(
 ) -> tuple[Annual, list[budget.Budget]]:
     """Return the year with the classes of its directions, and the budgets of their exceeded DGP.
 
-    hours_used: number of occupied hours, lit and dark ones. camera: result of `camera_u_rel`.
+    uncertainty: of DGP in all hours; hours_used: number of occupied hours, lit and dark ones; room:
+    of the model; camera: result of `camera_u_rel`; seed: of the draws of errors.
     """
     used, azimuths, summary = annual.occupied, annual.azimuths_deg, annual.summary
     dgp, ev_lx, u = annual.views["dgp"][used], annual.views["ev_lx"][used], uncertainty.hours(used)
-    u_rel, rng = float(np.linalg.norm([*camera.values()])), np.random.default_rng(seed)
+    u_rel, rng = float(np.linalg.norm(list(camera.values()))), np.random.default_rng(seed)
     rows = protection(dgp, u, hours_used, azimuths, rng, u_rel * dgp_per_scale(dgp, ev_lx))
     budgets = budget.year_budget(dgp, ev_lx, u, hours_used, azimuths, camera)
     count = int(used.sum())
@@ -311,19 +315,19 @@ def _differences(
     in pixels must be equal. scene: the fitted scene in the model's config.json, if any; then the
     room and heading as stated before the fit are compared.
     """
-    setup, mine = session.site_file(), room.setup.site
-    places = [(s.latitude_deg, s.longitude_deg) for s in (mine, setup.site)]
-    if np.abs(np.subtract(places[0], places[1])).max() > 0.01:
-        sites = zip((mine, setup.site), places, strict=True)
-        own, other = (f"{s.name} ({at[0]:g}, {at[1]:g} deg)" for s, at in sites)
-        yield f"of the site {own}", other
+    setup = session.site_file()
+    mine, site = room.setup.site, setup.site
+    north_deg = abs(mine.latitude_deg - site.latitude_deg)
+    if max(north_deg, abs(mine.longitude_deg - site.longitude_deg)) > 0.01:
+        texts = [f"{s.name} ({s.latitude_deg:g}, {s.longitude_deg:g} deg)" for s in (mine, site)]
+        yield f"of the site {texts[0]}", texts[1]
     stated, actual = scene["stated"] if scene else site_table(room.setup), site_table(setup)
     for table in ("camera", "room"):  # both affect every map
-        own, other = (each.get(table) or {} for each in (stated, actual))
-        for name in sorted({*own, *other} - {"profile"}):
-            if own.get(name) != other.get(name):
-                found = f"with [{table}] {name} = {own.get(name, 'none')}"
-                yield found, str(other.get(name, "none"))
+        of_model, of_session = stated.get(table) or {}, actual.get(table) or {}
+        for name in sorted({*of_model, *of_session} - {"profile"}):
+            if of_model.get(name) != of_session.get(name):
+                of_file = f"with [{table}] {name} = {of_model.get(name, 'none')}"
+                yield of_file, str(of_session.get(name, "none"))
     heading_deg = float(scene["stated_heading_deg"]) if scene else room.heading_deg
     for path in session.panorama_files()[:1]:
         first = read_panorama(path)

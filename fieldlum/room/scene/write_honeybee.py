@@ -92,7 +92,11 @@ def _of(kind: str, radiance: dict[str, str]) -> dict[str, Any]:
 def _side(
     scene: BoxScene, box: Box, axis: int, side: int, kind: str, name: str, modifier: str
 ) -> dict[str, Any]:
-    """Return a side of a box as an object of a kind; its normal points out of the box."""
+    """Return a side of a box as a honeybee object; its normal points out of the box.
+
+    axis: of the normal, 0 to 2; side: 0 for the lower, 1 for the upper end of the axis; kind: the
+    object's type; name: its identifier; modifier: identifier of its material.
+    """
     low, high = np.array(box.low), np.array(box.high)
     corners = corners_of(axis, (low, high)[side][axis], low, high) @ scene.turn
     boundary = np.round(corners if side else corners[::-1], 6).tolist()
@@ -105,6 +109,10 @@ def _side(
 
 
 def _face(scene: BoxScene, inside: Box, name: str, axis: int, side: int) -> dict[str, Any]:
+    """Return the floor, the ceiling or a wall with its windows, as a Face.
+
+    inside: the room's air; name: the identifier; axis, side: as for `_side`.
+    """
     kind = ("floor", "ceiling")[side] if axis == 2 else "wall"
     face_type = {"floor": "Floor", "ceiling": "RoofCeiling", "wall": "Wall"}[kind]
     outdoors = {"boundary_condition": {"type": "Outdoors"}}
@@ -114,8 +122,8 @@ def _face(scene: BoxScene, inside: Box, name: str, axis: int, side: int) -> dict
         if (o.axis, o.outward) == (axis, 2 * side - 1):
             u, z = _off_edges(o.u_m, inside.high[o.along]), _off_edges(o.z_m, inside.high[2])
             pane = upright(axis, (o.inner_m, o.inner_m), u, z, 0.0, "pane")
-            names = f"window_{k}", f"pane_{k}"
-            panes.append(_side(scene, pane, axis, side, "Aperture", *names) | outdoors)
+            aperture = _side(scene, pane, axis, side, "Aperture", f"window_{k}", f"pane_{k}")
+            panes.append(aperture | outdoors)
     return face | {"face_type": face_type, "apertures": panes}
 
 
@@ -124,6 +132,7 @@ def _off_edges(span_m: Span, length_m: float) -> Span:
 
 
 def _shades(scene: BoxScene) -> Iterator[dict[str, Any]]:
+    """Yield the sides of boxes other than floor, ceiling and walls, and the reveals, as Shades."""
     for k in scene.of_kind(*_SHADES):
         box = scene.boxes[k]
         for axis, side in product(range(3), (0, 1)):
