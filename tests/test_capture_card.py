@@ -23,6 +23,8 @@ from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot
 from fieldlum.optics.profiles import load_camera_profile, save_profile
 from fieldlum.optics.raw import same_model
 from fieldlum.optics.raw.writing import write_dng, write_jpeg
+from fieldlum.pair import judge, merged_brackets
+from fieldlum.pair.bracket_irradiance import BracketIrradiance
 from fieldlum.session import Session, create_session, read_journal
 from fieldlum.session.slot_states import apply_events
 
@@ -235,6 +237,25 @@ def test_frames_of_two_cameras_never_make_one_bracket(tmp_path: Path) -> None:
         for frame in state.frames
     }
     assert names == {"DSC"}
+
+
+@pytest.mark.contract
+def test_a_camera_that_replaced_another_one_is_told(tmp_path: Path) -> None:
+    """Two cards, a week apart: each is of one camera, but the profile is of one of them."""
+    session = make_session(tmp_path / "session", MONTH)
+    for card, days in (("D850", (0, 1)), ("D750", (7,))):
+        for day in days:
+            slot = MONTH[12 * day]
+            for i, exposure in enumerate(slot.exposures):
+                taken = slot.t_utc + timedelta(seconds=PST_S + 2 * i)
+                write(tmp_path / card / f"{day}{i}.dng", exposure, taken, card)
+            session.panoramas.mkdir(exist_ok=True)
+            session.panorama(slot.id).touch()
+        import_card.run(session, tmp_path / card, utc_offset_s=PST_S)
+    brackets = merged_brackets(session)
+    assert [bracket.camera for bracket in brackets] == ["", "", "D750"]
+    row = judge(brackets[2], BracketIrradiance(ghi_wm2=400.0), 30.0, 178.0)
+    assert row.ok and "taken by D750" in row.why
 
 
 @pytest.mark.contract

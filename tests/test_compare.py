@@ -252,6 +252,23 @@ def test_a_table_in_another_zone_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
+@pytest.mark.parametrize("moved", [-1, 0, 1])
+def test_a_table_an_hour_off_is_told(tmp_path: Path, moved: int) -> None:
+    """As on a clock in summer time: its differences were stated as the simulation's errors."""
+    session = create_session(tmp_path / "office", SETUP, [], {})
+    year, table = _year(), tmp_path / "other.csv"
+    hours = [k // 8 * 24 + 9.5 + k % 8 + moved for k in range(len(year))]
+    dgp = np.random.default_rng(3).uniform(0.2, 0.9, len(year))
+    year.views["dgp"][:, 1] = dgp
+    rows = [f"{hour},{value + 0.02:.4f}" for hour, value in zip(hours, dgp, strict=True)]
+    table.write_text("hoy,dgp\n" + "\n".join(rows))
+    text = " ".join(compare(session, table, tmp_path / "out", [180.0], year).text)
+    assert (
+        f"November to March the table agrees twice as well if moved by {-moved:+d} h" in text
+    ) is (moved != 0) and "April" not in text
+
+
+@pytest.mark.contract
 @pytest.mark.parametrize(("shift", "word"), [(0, "begins"), (1, "ends")])
 def test_whole_hours_are_placed_by_the_daylight_of_the_year(
     tmp_path: Path, shift: int, word: str

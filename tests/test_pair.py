@@ -133,7 +133,10 @@ def test_unsteady_light_is_cautioned_then_refused() -> None:
 
 
 @pytest.mark.contract
-@pytest.mark.parametrize(("flag", "doubtful"), [("", False), ("low-sun", False), ("spike", True)])
+@pytest.mark.parametrize(
+    ("flag", "doubtful"),
+    [("", False), ("low-sun", False), ("spike", True), ("k-index", True), ("horizon", True)],
+)
 def test_marks_make_light_doubtful_but_a_low_sun_does_not(flag: str, doubtful: bool) -> None:
     steady = log(np.arange(-20.0, 20.0), np.full(40, 400.0))
     marked = replace(steady, flags=np.array([flag] * 40, object))

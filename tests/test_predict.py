@@ -30,7 +30,7 @@ from fieldlum.year.predict import Annual, read_annual, read_pictures, run
 from fieldlum.year.predict.annual import rounded
 from fieldlum.year.predict.hour_blocks import ModelRoom, blocks
 from fieldlum.year.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
-from fieldlum.year.predict.year import light_of
+from fieldlum.year.predict.year import are_full_years, light_of
 
 DATA = dataset(("2027-03-20", "2027-06-21"), height=16)
 SITE = DATA.setup.site
@@ -446,6 +446,13 @@ def test_weather_of_another_place_is_refused(model: Path, tmp_path: Path) -> Non
         run(model, path, out=tmp_path / "y")
 
 
+@pytest.mark.analytic
+def test_a_summer_twice_is_no_year() -> None:
+    """The 18 months of a station's record were taken as a year, its summer counted twice."""
+    full = [are_full_years(days) for days in (4, 182, 355, 360, 366, 367, 550, 725, 731)]
+    assert full == [False, False, False, True, True, True, False, True, True]
+
+
 @pytest.mark.contract
 def test_a_repaired_weather_file_is_labelled(model: Path, tmp_path: Path) -> None:
     path = tmp_path / "w.csv"
@@ -462,7 +469,7 @@ def test_a_repaired_weather_file_is_labelled(model: Path, tmp_path: Path) -> Non
     )
     assert done.exit_code == 0, done.output
     assert "not a year" in done.stderr
-    for said in ("29 February", "negative irradiance", "interpolated"):
+    for said in ("29 February", "negative irradiance", "interpolated", "states no place"):
         assert said in done.stderr
     repairs = " ".join(read_annual(tmp_path / "y").about["weather"]["repairs"])
     assert "29 February" in repairs

@@ -21,7 +21,7 @@ from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, sam
 from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.session import Journal, Session, exposure_text, replacing_path, sha256, sole_user
 from fieldlum.session.files.capture_json import Frame, frame_fields
-from fieldlum.session.folder import update_session
+from fieldlum.session.folder import DeviceTable, update_session
 from fieldlum.session.slot_states import SlotState, SlotStates, read_slot_states
 
 
@@ -223,7 +223,9 @@ def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, matc
         frames.append(frame)
     state = SlotState("done", 1, tuple(frames))
     is_complete = not missing_frames(match, setup)
-    write_capture(folder, slot, state, setup, {}, complete=is_complete)
+    first = match.group.frames[0]
+    about: DeviceTable = {"model": first.camera, "serial": first.serial}
+    write_capture(folder, slot, state, setup, about, complete=is_complete)
     journal.append("done", now, slot=slot.id, frames=len(frames), why="imported")
 
 

@@ -697,9 +697,7 @@ def _is_deep(header: Mapping[str, Any]) -> bool:
     return "deep" in str(header.get("type", "")).lower()
 
 
-def _pictures(
-    headers: Sequence[Mapping[str, Any]],
-) -> Iterator[tuple[str, int, Mapping[str, str]]]:
+def _pictures(headers: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, int, Mapping[str, str]]]:
     """Yield name, part and channels of each flat picture; a part's plain channels come first.
 
     name : of part, layer or view; "" for plain channels of a file with one part without a name.

@@ -4,6 +4,7 @@
 lens, `sky_view` where the camera sees the sky; this file runs the stage and traces the sun patches.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta
@@ -45,7 +46,8 @@ class BracketInterval:
     meter_lx: reading of an illuminance meter, None without one. complete: whether no frame is
     missing or unreadable. frames: sha256 of each frame. double_of: id of another slot with the same
     frames, or "". sun_u_percent: uncertainty of the sun's illuminance because few pixels on the
-    disc are usable. clipped_percent: share of the view that is clipped in every frame.
+    disc are usable. clipped_percent: share of the view that is clipped in every frame. camera:
+    model, serial number and lens of the camera, where it reports them.
     """
 
     slot: str
@@ -58,6 +60,7 @@ class BracketInterval:
     double_of: str = ""
     sun_u_percent: float = 0.0
     clipped_percent: float = 0.0
+    camera: str = ""
 
     @property
     def t_utc(self) -> datetime:
@@ -70,18 +73,22 @@ def merged_brackets(session: Session) -> list[BracketInterval]:
 
     Without a capture.json the interval is half a minute. Brackets that share frames are marked: a
     card was imported twice with two clock offsets, and at least one of the two slots is wrong.
+    `camera` is set for brackets of another one than that of most brackets.
     """
     brackets = [_bracket_of(session, path) for path in session.panorama_files()]
     slots_of: dict[str, list[str]] = {}
     for bracket in brackets:
         for frame in bracket.frames:
             slots_of.setdefault(frame, []).append(bracket.slot)
+    usual = dict(Counter(each.camera for each in brackets if each.camera).most_common(1))
 
-    def other_slot(bracket: BracketInterval) -> str:
+    def compared(bracket: BracketInterval) -> BracketInterval:
         sharing = (slot for frame in bracket.frames for slot in slots_of[frame])
-        return next((slot for slot in sharing if slot != bracket.slot), "")
+        other = next((slot for slot in sharing if slot != bracket.slot), "")
+        camera = "" if bracket.camera in usual else bracket.camera
+        return replace(bracket, double_of=other, camera=camera)
 
-    return [replace(bracket, double_of=other_slot(bracket)) for bracket in brackets]
+    return [compared(bracket) for bracket in brackets]
 
 
 def _bracket_of(session: Session, path: Path) -> BracketInterval:
@@ -89,34 +96,28 @@ def _bracket_of(session: Session, path: Path) -> BracketInterval:
     slot = path.stem
     capture = CaptureFile.find(session.capture_file(slot))
     sidecar = Sidecar.find(session.sidecar(slot))
-    sun_u_percent = sidecar.sun.u_mosaic_percent if sidecar and sidecar.sun else 0.0
-    clipped_percent = (sidecar.report.clipped_percent if sidecar else None) or 0.0
-    complete = not (sidecar and sidecar.report.lost)
     if capture is None:
-        middle = (sidecar.t_utc if sidecar else None) or _slot_time(path)
-        half = timedelta(seconds=15)
-        opened, closed, meter_lx, frames = middle - half, middle + half, None, ()
-    else:
-        opened, closed, meter_lx = capture.t_open_utc, capture.t_close_utc, capture.illuminance_lx
-        frames, complete = capture.frames, complete and capture.complete
+        expected = "a name such as 20270320T153000Z"
+        remedy = "merge the bracket again, or move the panorama out of panoramas/"
+        with input_errors(path, expected, remedy, ValueError):
+            middle = (sidecar.t_utc if sidecar else None) or parse_utc(slot)
+            half = timedelta(seconds=15)
+            capture = CaptureFile(
+                slot=slot, frames=(), t_open_utc=middle - half, t_close_utc=middle + half
+            )
+    camera = (str(capture.camera.get(key, "")) for key in ("model", "serial", "lens"))
     return BracketInterval(
         slot,
         path,
-        t_open_utc=opened,
-        t_close_utc=closed,
-        meter_lx=meter_lx,
-        complete=complete,
-        frames=frozenset(frame.sha256 for frame in frames if frame.sha256),
-        sun_u_percent=sun_u_percent,
-        clipped_percent=clipped_percent,
+        t_open_utc=capture.t_open_utc,
+        t_close_utc=capture.t_close_utc,
+        meter_lx=capture.illuminance_lx,
+        complete=capture.complete and not (sidecar and sidecar.report.lost),
+        frames=frozenset(frame.sha256 for frame in capture.frames if frame.sha256),
+        sun_u_percent=sidecar.sun.u_mosaic_percent if sidecar and sidecar.sun else 0.0,
+        clipped_percent=(sidecar.report.clipped_percent if sidecar else None) or 0.0,
+        camera=" ".join(camera).strip(),
     )
-
-
-def _slot_time(path: Path) -> datetime:
-    expected = "a name such as 20270320T153000Z"
-    remedy = "merge the bracket again, or move the panorama out of panoramas/"
-    with input_errors(path, expected, remedy, ValueError):
-        return parse_utc(path.stem)
 
 
 def judge(
@@ -143,9 +144,10 @@ def judge(
     elif not why and sun.too_weak(light.ghi_wm2, altitude_deg, top_wm2):
         why = "less light than the darkest overcast sky: a covered instrument, or values in kW/m2"
     doubts = ["" if bracket.complete else "bracket incomplete"]
-    if (u_percent := bracket.sun_u_percent) >= 5.0:
-        text = "the sun covers few pixels: its illuminance is uncertain by"
-        doubts.append(f"{text} {u_percent:.0f} %")
+    if bracket.camera:
+        doubts.append(f"taken by {bracket.camera}, not by the camera of most: check its profile")
+    if (u := bracket.sun_u_percent) >= 5.0:
+        doubts.append(f"the sun covers few pixels: its illuminance is uncertain by {u:.0f} %")
     name = f"{bracket.panorama.parent.name}/{bracket.panorama.name}"
     return PairRow(
         t_utc=bracket.t_utc,

@@ -122,4 +122,7 @@ _CAUTIONS = {
     "diffuse": "diffuse above global",
     "extreme": "irradiance outside BSRN's extremely rare limits",
     "spike": "one reading differs strongly from its neighbours",
+    "k-index": "an impossible ratio of global, diffuse and direct",
+    "horizon": "something may hide the sun from the instrument",
+    "double": "two rows of one moment differ",
 }

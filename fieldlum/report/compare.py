@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import calendar
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -522,8 +522,11 @@ def _compare_hours(
             expected = f"one of the views {', '.join(f'{a:g}' for a in annual.azimuths_deg)}"
             remedy = "predict that view: fieldlum predict --views 36"
             raise InputError(path, f"a view to {azimuth:.0f} deg", expected, remedy)
-        measured = annual.views[figure][row_of[hours[both]], int(np.argmin(off_deg))]
+        of_year = annual.views[figure][:, int(np.argmin(off_deg))]
+        measured = of_year[row_of[hours[both]]]
         modelled = columns[figure, azimuth].to_numpy(float)
+        by_hour = np.where(row_of < 0, np.nan, of_year[row_of])
+        note += () if shared else _other_clock(by_hour, hours[both], modelled)
         ok = np.isfinite(measured) & np.isfinite(modelled)
         if ok.any():
             shared.append(_Shared(azimuth, figure, hours[both][ok], measured[ok], modelled[ok]))
@@ -532,6 +535,21 @@ def _compare_hours(
     if weather := annual.summary.inputs.get("weather"):
         note.append(f"The year has the weather of {weather}: the model needs the same.")
     return _of_hours(shared, note, out)
+
+
+def _other_clock(measured: Floats, hours: Array, modelled: Floats) -> Iterator[str]:
+    """Yield a note for each season in which a model agrees twice as well if moved by an hour.
+
+    measured [8760], NaN in the dark; modelled [n] at `hours` of the year [n].
+    """
+    is_summer = np.isin(hours // 24, range(90, 300))  # within summer time of Europe and America
+    for season, rows in (("April to October", is_summer), ("November to March", ~is_summer)):
+        moved = np.array([0, -1, 1])
+        error = np.abs(measured[(hours[rows] + moved[:, None]) % 8760] - modelled[rows])
+        off = error[:, np.isfinite(error).all(axis=0)].sum(axis=1)
+        if off.min() < 0.5 * off[0]:
+            by = f"{moved[off.argmin()]:+d} h (summer time?)"
+            yield f"From {season} the table agrees twice as well if moved by {by}"
 
 
 def _of_evalglare(session: Session, path: Path, azimuths_deg: Sequence[float]) -> list[_Shared]:

@@ -154,7 +154,8 @@ class Kernel:
 
         near: factor on the facades' term by the angle between two suns, in the product's shape.
         """
-        beams, grounds = ((f.beam[:, None] for f in (a, b)), (_ground(f) for f in (a, b)))
+        beams = [f.beam[:, None] for f in (a, b)]
+        grounds = (f.beam[:, None] * np.maximum(f.direction[:, 2:], 0.0) for f in (a, b))
         k = self.constant * (1.0 + product(*beams) + product(*grounds))
         k += self.sky * product(a.sky, b.sky)
         k += self.facade * product(_facade(a, self.facades), _facade(b, self.facades)) * near
@@ -165,10 +166,6 @@ class Kernel:
         if a.lamps is not None and b.lamps is not None:
             k += self.lamps * product(a.lamps, b.lamps)
         return k
-
-
-def _ground(a: Features) -> Floats:
-    return (a.beam * np.maximum(a.direction[:, 2], 0.0))[:, None]
 
 
 def _facade(a: Features, facades: Facades) -> Floats:

@@ -133,7 +133,7 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
     Raises InputError beyond `FAR_KM`.
     """
     if place is None or (away := distance_km(place, site)) <= NEAR_KM:
-        return []
+        return [] if place else ["the file states no place: it is taken as weather of the site"]
     if away > FAR_KM:
         where = f"{place.name} ({place.latitude_deg:g}, {place.longitude_deg:g} deg)"
         found = f"weather of {where}, which is {away:.0f} km from the site"

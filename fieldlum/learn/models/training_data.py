@@ -16,12 +16,7 @@ from fieldlum.core.files import open_to_read
 from fieldlum.core.progress import progress
 from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SiteFile, counted, slot_id
 from fieldlum.core.room_states import USAGE, merged_state
-from fieldlum.learn.models.camera_turns import (
-    align,
-    camera_turns,
-    shown_place,
-    turn_notes,
-)
+from fieldlum.learn.models.camera_turns import align, camera_turns, shown_place, turn_notes
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.images import PANORAMA_LINE, read_panorama
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg

@@ -489,7 +489,8 @@ def _chosen(of: _Described) -> _Chosen:
     if gain > max(0.3 * errors.figure("log10"), error):
         best, errors = lit, with_lamp
     robust = of.data.scene is not None or best.arrays.patch is None
-    noises = NOISES[robust or one_season(of.data.days) :]
+    # held-out days from one season, 20 degrees of solar declination, do not test other seasons
+    noises = NOISES[robust or float(np.ptp(_declination_deg(of.data.days))) < 20.0 :]
     tried = [errors if noise == NOISES[1] else of.errors(best, noise) for noise in noises]
     k = choose(tried).best
     return _Chosen(of, best, noises[k], tried[k])
@@ -571,14 +572,6 @@ def _declination_deg(days: NDArray) -> Array:
     """Return the sun's declination at the beginning of each day, [n]; days: dates [n]."""
     names, inverse = np.unique(days.astype("datetime64[s]"), return_inverse=True)
     return sun.declination_deg([day.replace(tzinfo=UTC) for day in names.tolist()])[inverse]
-
-
-def one_season(days: NDArray) -> bool:
-    """Return whether all days are from one season: a range of solar declination below 20 degrees.
-
-    days: dates [n] (datetime64). If True, held-out days do not test other seasons.
-    """
-    return float(np.ptp(_declination_deg(days))) < 20.0
 
 
 def seasons(days: NDArray) -> Indices:

@@ -27,7 +27,7 @@ _SEGMENT_GAP_S = 1800.0
 _SPIKE_ROWS = 120  # rows on each side for the usual step: ten minutes at 5 s
 # rank of the usual step, so that four other spikes in the window do not hide one; chosen
 _SPIKE_RANK = 9
-_RECIPE = 10  # Increase it when the arithmetic changes: clean.csv is then computed again.
+_RECIPE = 11  # Increase it when the arithmetic changes: clean.csv is then computed again.
 
 
 # ----------------------------------------------------------------------------------------------
@@ -43,7 +43,7 @@ class Mark(IntFlag):
     EXTREME = 2  # outside BSRN's extremely rare limits
     CLOSURE = 4  # for half an hour global differs from diffuse + direct, if all three are measured
     DIFFUSE = 8  # diffuse above global
-    STUCK = 16  # the same value for over ten minutes of daylight
+    STUCK = 16  # the same value for over ten minutes of daylight, or the end of the range
     STATUS = 32  # the instrument reported an error
     LOW_SUN = 64  # sun under 5 degrees, where DNI from horizontal readings is inaccurate
     GAP = 128  # the first row after a gap
@@ -148,7 +148,7 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
     with np.errstate(invalid="ignore"):
         marks[dhi > 1.05 * ghi + 10.0] |= Mark.DIFFUSE
     marks[consistency.closure_fails(series.t_unix_s, ghi, dhi, dni, altitude)] |= Mark.CLOSURE
-    marks[_stuck(series.t_unix_s, ghi, altitude)] |= Mark.STUCK
+    marks[_stuck(series.t_unix_s, ghi, altitude) | _saturated(ghi)] |= Mark.STUCK
     for value in (ghi, dhi, dni):
         marks[spikes(series.t_unix_s, np.where(marks & UNUSABLE, np.nan, value))] |= Mark.SPIKE
     step = np.diff(series.t_unix_s, prepend=series.t_unix_s[:1])
@@ -201,6 +201,19 @@ def _stuck(t_unix_s: Floats, ghi: Floats, altitude: Floats) -> Mask:
     rows, seconds = ends - starts, t_unix_s[ends - 1] - t_unix_s[starts]
     stuck = np.repeat((seconds > 600.0) & (rows > 2) & change_due, rows)
     return stuck & (altitude > 2.0) & np.isfinite(ghi)
+
+
+def _saturated(ghi: Floats) -> Mask:
+    """Return a mask [n] of rows at the end of an instrument's or logger's range.
+
+    ghi [n] W/m2. It is the largest value, if the log returns to it at least three times, and if
+    more rows, at least ten, have exactly this value than one up to 5 % below it. A clear noon is
+    within 0.5 % of its largest value for a third of the time within 5 %.
+    """
+    top = np.nanmax(ghi, initial=100.0)  # a lower one is that of dark days; chosen
+    full, near = ghi == top, np.count_nonzero(ghi >= 0.95 * top)
+    returns = np.count_nonzero(np.diff(full.astype(int), prepend=0) > 0)
+    return full & (returns >= 3) & (full.sum() >= 10) & (2 * full.sum() > near)
 
 
 def suspicions(series: Series, altitude: Floats, top: Floats, site: Site) -> NDArray[np.int64]:
@@ -393,7 +406,7 @@ _FAULTS = {
     Mark.DIFFUSE: "more diffuse than global irradiance: check whether the columns are exchanged",
     Mark.K_INDEX: "an impossible ratio of global, diffuse and direct: check instruments, tracker",
     Mark.HORIZON: "the sun in a low part of the sky where it was never measured: check for shade",
-    Mark.STUCK: "one value for over ten minutes: check the instrument and its cable",
+    Mark.STUCK: "one value for over ten minutes, or a range's end: check instrument and cable",
     Mark.STATUS: "an error reported by the instrument: see its manual",
     Mark.SPIKE: "isolated spikes: check the cable",
     Mark.DOUBLE: "another row of the same time with other values: check the clock",

@@ -204,11 +204,7 @@ def require_box(room: Room) -> None:
 
 
 def scene_evidence(
-    data: Dataset,
-    room: Room,
-    *,
-    pixels: int = PIXELS,
-    min_hours: int = MIN_SUNNY_HOURS,
+    data: Dataset, room: Room, *, pixels: int = PIXELS, min_hours: int = MIN_SUNNY_HOURS
 ) -> SceneEvidence:
     """Collect sunny hours, sampled pixels and the light without direct sun from captures.
 

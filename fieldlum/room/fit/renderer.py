@@ -70,12 +70,7 @@ def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces
 
 
 def unit_patches(
-    guess: Guess,
-    ends: Surfaces,
-    suns_room: Array,
-    pixel: NDArray[np.intp],
-    sub: int,
-    tone: Array,
+    guess: Guess, ends: Surfaces, suns_room: Array, pixel: NDArray[np.intp], sub: int, tone: Array
 ) -> Array:
     """Return irradiance of pixels' surfaces times tone, per lx of the sun on its normal, [n, m].
 

@@ -99,10 +99,7 @@ class SceneCost:
 
 
 def search(
-    cost: SceneCost,
-    guess: Guess,
-    parameters: Sequence[Parameter],
-    levels: Sequence[float] = LEVELS,
+    cost: SceneCost, guess: Guess, parameters: Sequence[Parameter], levels: Sequence[float] = LEVELS
 ) -> tuple[Guess, float]:
     """Search the guess of the smallest cost from a start; return it and its cost (no unit).
 

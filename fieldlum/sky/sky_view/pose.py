@@ -12,12 +12,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import JsonTable, Site
-from fieldlum.optics.projection import (
-    altitude_azimuth_deg,
-    direction,
-    rotation,
-    signed_angle_deg,
-)
+from fieldlum.optics.projection import altitude_azimuth_deg, direction, rotation, signed_angle_deg
 from fieldlum.sky.sky_view.measured_discs import (
     MIN_DISCS,
     MeasuredDiscs,

@@ -404,6 +404,14 @@ def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, M
     return untrusted, annual.occupied & ~untrusted & (widest > _WIDE_DGP)
 
 
+def are_full_years(days: int) -> bool:
+    """Return whether the days of a weather file are those of full years, of which five may lack.
+
+    A half year more would weigh its season twice in the classes.
+    """
+    return days > 300 and (days + 6) % 365.25 < 12.0
+
+
 def _notes(
     summary: PredictFile, room: ModelRoom, budgets: Sequence[budget.Budget]
 ) -> Iterator[str]:
@@ -415,8 +423,8 @@ def _notes(
         "dimmed sun. In files of PVGIS it is one moment, which stands for the hour. So the number "
         "of glare hours can be too low or too high."
     )
-    if (days := summary.days) < 360:  # a weather file of a year may lack some days
-        yield f"the weather has {days} days, not a year: glare classes are for these days only"
+    if not are_full_years(days := summary.days):
+        yield f"the weather has {days} days, not a year (or full years): classes are for these only"
     if summary.weather.synthetic:
         yield "the weather is synthetic: it must not be used to judge this place"
     yield from room.sky_view.notes if room.sky_view else [room.disc_from]
