@@ -434,8 +434,8 @@ def find_chart(frame: fit_steps.LinearFrame) -> Floats:
 
     light = frame.rgb / max(float(np.percentile(frame.rgb[..., 1], 99)), 1e-9)
     codes = (255 * np.clip(light[..., ::-1], 0, 1) ** (1 / 2.2)).astype(np.uint8)
-    by = min(1.0, 1600 / max(codes.shape))  # the detector's time grows with the picture
-    picture = cv2.resize(codes, None, fx=by, fy=by, interpolation=cv2.INTER_AREA)
+    shrink = min(1.0, 1600 / max(codes.shape))  # the detector's time grows with the picture
+    picture = cv2.resize(codes, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     detector: Any = cv2.mcc.CCheckerDetector_create()  # type: ignore[attr-defined]
     kind = cv2.mcc.MCC24  # type: ignore[attr-defined]
     if hasattr(detector, "setColorChartType"):  # OpenCV 5, which has no default of it
@@ -444,7 +444,7 @@ def find_chart(frame: fit_steps.LinearFrame) -> Floats:
     else:
         detector.process(picture, kind, 3)
     boxes = [np.asarray(chart.getBox(), float) for chart in detector.getListColorChecker()]
-    ways = [np.roll(box, turn, axis=0) * frame.step / by for box in boxes for turn in range(4)]
+    ways = [np.roll(box, turn, axis=0) * frame.step / shrink for box in boxes for turn in range(4)]
 
     def off(corners: Floats) -> float:
         with suppress(InputError):  # a patch outside the picture, or clipped

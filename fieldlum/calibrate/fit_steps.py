@@ -367,7 +367,7 @@ def read_panoramas(
     """Return the panoramas of a table, by file.
 
     remedy : what else to do before merging again. Raises InputError for a panorama that was merged
-    with another calibration than the profile's.
+    with another calibration than the profile's. rows: of the table.
     """
     own, pictures = calibration_mark(profile)["calibration"], {}
     for file in dict.fromkeys(row["panorama"] for row in rows):

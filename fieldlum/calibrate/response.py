@@ -100,7 +100,10 @@ def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: In
 
 
 def _log_light(codes: NDArray[np.uint8], log_e: Floats) -> Floats:
-    """Return ln of light over exposure [places, exposures, 3]; NaN for codes that do not count."""
+    """Return ln of light over exposure [places, exposures, 3]; NaN for codes that do not count.
+
+    codes: [places, exposures, 3]; log_e: ln of the exposures.
+    """
     light = np.full(codes.shape, np.nan)
     for colour in range(3):
         own = codes[..., colour]
@@ -114,7 +117,8 @@ def _fitted(light: Floats, pairs: Sequence[tuple[int, int]]) -> tuple[Floats, Fl
     """Return deviations of the steps [exposures - 1] in ln of light, with standard uncertainties.
 
     Least squares over the pairs and colours, each by its own scatter, with the labels as a prior.
-    The last value is the largest change of red or blue against green, ln; 0 for none.
+    The last value is the largest change of red or blue against green, ln; 0 for none. light: ln of
+    light over exposure, by `_log_light`; pairs: of exposures that share places.
     """
     count, balance = light.shape[1] - 1, 0.0
     normal, right = np.eye(count) / _LABEL_U**2, np.zeros(count)
@@ -198,9 +202,9 @@ def sample(
 
     If the profile's shutter law is "auto", the law is that of the EXIF times; the overlap of the
     frames then corrects single steps. brackets: the frames of each; rng: of the choice of places,
-    which are spread over the brightnesses. Raises
-    InputError for a bracket of mixed apertures or sizes or with fewer than three exposures,
-    NotEnoughDataError for one with fewer than 50 flat, well exposed places.
+    which are spread over the brightnesses. Raises InputError for a bracket of mixed apertures or
+    sizes or with fewer than three exposures, NotEnoughDataError for one with fewer than 50 flat,
+    well exposed places.
     """
     parts = [_flat_places(paths, profile, rng) for paths in brackets]
     law = stated_law([e.shutter_s for _, exposures in parts for e in exposures], profile)

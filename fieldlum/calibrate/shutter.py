@@ -144,7 +144,7 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
     headings = [list(frames) for _, frames in groupby(report.frames, lambda f: f.heading_deg)]
     neighbours = report.neighbours  # their frames are counted from 0 at each heading
     starts = [i for i, n in enumerate(neighbours) if not i or n.long <= neighbours[i - 1].long]
-    runs = [neighbours[a:b] for a, b in pairwise([*starts, len(neighbours)])]
+    runs = [neighbours[first:end] for first, end in pairwise([*starts, len(neighbours)])]
     if len(runs) != len(headings):
         return []  # a heading has no overlap, so pairs cannot be assigned to headings
     readings = []
@@ -269,7 +269,7 @@ def _held_out(brackets: Sequence[Bracket], pairs: Container[Pair]) -> Floats:
     """Return squared errors [2, n] of the ratios of held-out brackets.
 
     The first row has the errors of the assumed times, the second those of a fit to the other
-    brackets.
+    brackets. pairs: of times that count.
     """
     errors = []
     for out in folds(np.arange(len(brackets))):

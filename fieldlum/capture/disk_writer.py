@@ -150,7 +150,8 @@ class Recorder:
     def _flush(self, waiting: deque[T], write: Callable[[T], None]) -> bool:
         """Write what waits in memory; return False if some of it cannot be written now.
 
-        After a failure, delete the reserve or reopen the files, and try once more.
+        After a failure, delete the reserve or reopen the files, and try once more. write: writes
+        one of `waiting`.
         """
         is_first_failure = True
         while waiting:

@@ -58,7 +58,10 @@ def run(
 
 
 def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> Report:
-    """Import the brackets in a card's folder that match the plan."""
+    """Import the brackets in a card's folder that match the plan.
+
+    utc_offset_s: the camera's clock minus UTC, None to find it.
+    """
     setup, slots = session.site_file(), session.slots()
     groups, left_out = _brackets(folder, setup, slots, utc_offset_s is not None)
     clocks: list[tuple[list[Group], Offset]] = []

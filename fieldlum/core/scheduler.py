@@ -197,7 +197,8 @@ def use_one_thread() -> None:
 def _in_processes(units: list[WorkUnit], count: int) -> Outcomes:
     """Run units in a pool of processes.
 
-    A unit that is tried again runs alone, so that a killed process is due to this unit.
+    A unit that is tried again runs alone, so that a killed process is due to this unit. count: of
+    processes.
     """
     waiting, tries, running = units[::-1], Counter[str](), dict[Future[Any], WorkUnit]()
     pool = _pool(count)
@@ -365,7 +366,10 @@ def _on_cluster(units: list[WorkUnit], address: str) -> Outcomes:
 
 
 def _usable(client: Any, address: str, avoided: dict[str, str]) -> set[str]:
-    """Return the workers that are not avoided; the empty set if none is, so that any may do."""
+    """Return the workers that are not avoided; the empty set if none is, so that any may do.
+
+    client: of Dask.
+    """
     end_s = time.monotonic() + REPLACED_S
     while avoided:
         if usable := client.nthreads().keys() - avoided.keys():

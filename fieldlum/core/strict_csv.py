@@ -211,7 +211,7 @@ def _decimal_commas(cells: Sequence[str], count: int, right: Sequence[Sequence[s
     """Return whether a line with too many cells can be one with decimal commas.
 
     That is: its surplus cells are decimals after an integer, and it lacks the decimal points that
-    lines of the right length have.
+    lines of the right length have. count: of cells in a right line.
     """
     surplus, pairs, k = len(cells) - count, 0, 0
     while k + 1 < len(cells):

@@ -300,7 +300,10 @@ class ModbusPyranometer(Pyranometer):
         return decode(self._profile, registers), raw
 
     def _words(self, unit: int, block: RegisterBlock) -> list[int]:
-        """Return the registers of one block. Raises DeviceError."""
+        """Return the registers of one block. Raises DeviceError.
+
+        unit: number of the device.
+        """
         from pymodbus.exceptions import ModbusException
 
         whose = f"{self.name}: {self._profile.kind} unit {unit}"
@@ -323,7 +326,10 @@ class ModbusPyranometer(Pyranometer):
 
 
 def _connected(place: str, line: SerialLine, timeout_s: float) -> tuple[Any, str]:
-    """Return a client that asks each question once, and the name of its port or host."""
+    """Return a client that asks each question once, and the name of its port or host.
+
+    timeout_s: of an answer.
+    """
     from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
     # A missing answer raises an error here; pymodbus would print it too.

@@ -164,6 +164,7 @@ class RpicamCamera(Camera):
         """Run the program and return what it prints.
 
         A program that hangs is killed with all processes that it started. Raises DeviceError.
+        timeout_s: after which it counts as hanging.
         """
         command, pipe = [self._program, *arguments], subprocess.PIPE
         how: dict[str, Any] = {"stdout": pipe, "stderr": subprocess.STDOUT, "errors": "replace"}

@@ -313,7 +313,7 @@ def exposures_of(
     the frames' ratios first. If `fits` is False, no exposure is corrected. Disagreement of frames
     beyond the uncertainties of shutter and response increases the uncertainty: the light changed,
     or the profile is wrong. Exposures that are not fitted are compared with a fit that serves only
-    this purpose.
+    this purpose. shots: of the frames, most exposed first.
     """
     samples = take_samples(frames)
     pairs = bracket_pairs(samples)

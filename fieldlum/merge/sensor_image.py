@@ -226,7 +226,8 @@ def _without_absent_filters(
 
     Each frame with a filter in its label is compared with the frame without one whose exposure is
     nearest. Beyond the middle between the light with and without the filter, on a logarithmic
-    scale, the filter was absent: the frame then counts as one without it.
+    scale, the filter was absent: the frame then counts as one without it. shots: of one heading;
+    crop: the part of the sensor that is read.
     """
     bare = [shot for shot in shots if not shot.exposure.nd]
     right, absent = list(shots), []

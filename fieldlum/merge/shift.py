@@ -48,14 +48,14 @@ def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) ->
     pixels (2 for a mosaic).
     """
     h, w = signal.shape
-    by = cell * max(1, -(-max(h, w) // (cell * 800)))  # limits the time
-    part, size = np.s_[: h // by * by, : w // by * by], (w // by, h // by)
+    side = cell * max(1, -(-max(h, w) // (cell * 800)))  # limits the time
+    part, size = np.s_[: h // side * side, : w // side * side], (w // side, h // side)
     mean, share = (
         cv2.resize(values[part], size, interpolation=cv2.INTER_AREA)
         for values in (signal, seen_mask.view(np.uint8) * np.uint8(255))
     )
     complete = (share == 255) & (mean > minimum)
-    return ReducedFrame(np.log(np.where(complete, mean, 1.0)).astype(np.float32), complete, by)
+    return ReducedFrame(np.log(np.where(complete, mean, 1.0)).astype(np.float32), complete, side)
 
 
 def shifts(

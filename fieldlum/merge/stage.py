@@ -168,7 +168,8 @@ def _merge_readable(
 ) -> tuple[MergeResult, list[str]]:
     """Merge the readable frames, and return the names of the others.
 
-    Raises InputError if less than half of the frames, or fewer than two, are readable.
+    Raises InputError if less than half of the frames, or fewer than two, are readable. sun_deg:
+    altitude and azimuth of the sun, None if it is unknown.
     """
     merged = partial(
         merge_shots,
@@ -191,7 +192,10 @@ def _merge_readable(
 def _with_session_facts(
     result: MergeResult, profile: CameraProfile, complete: bool, lost: list[str]
 ) -> MergeResult:
-    """Return the result with its illuminance and with a verdict that covers the slot as well."""
+    """Return the result with its illuminance and with a verdict that covers the slot as well.
+
+    complete: whether all planned frames exist; lost: names of unreadable frames.
+    """
     panorama, heading_deg = result.panorama, result.panorama.heading_deg
     place = (heading_deg, heading_deg, panorama.sun)
     ahead_lx = vertical_illuminance_lx(panorama.luminance_cdm2, *place)

@@ -342,10 +342,10 @@ def fit_response(
     system = sparse.vstack([data, bend, pin, 1e-6 * sparse.eye(256 + places)]).tocsr()
     target = np.r_[weight * log_exposure[frame], np.zeros(254 + 1 + 256 + places)]
     solution = np.asarray(spsolve((system.T @ system).tocsc(), system.T @ target))
-    g, light = solution[:256], solution[256:]
+    log_z, light = solution[:256], solution[256:]
     middle = (value >= 27) & (value <= 228)
-    residual = (g[value] - light[place] - log_exposure[frame])[middle]
-    z = monotone(np.exp(g - g[255]))
+    residual = (log_z[value] - light[place] - log_exposure[frame])[middle]
+    z = monotone(np.exp(log_z - log_z[255]))
     return z / z[255], float(np.sqrt(np.mean(residual**2)))
 
 

@@ -227,7 +227,8 @@ class SimulatedCamera(Camera):
     def _image(self, panorama: Panorama, heading_deg: float) -> Floats32:
         """Return camera channels before vignetting, [h, w] on the mosaic or [h, w, 3].
 
-        The result is stored and used again while the scene does not change.
+        The result is stored and used again while the scene does not change. heading_deg: of the
+        camera, clockwise from north.
         """
         if self._last is None or self._last[0] is not panorama or self._last[1] != heading_deg:
             height, width = panorama.luminance_cdm2.shape

@@ -110,7 +110,10 @@ def _rows(path: Path) -> dict[str, tuple[float, float, float]]:
 
 
 def _positive(cell: str, path: Path, line: int) -> float:
-    """Return a number above 0, which may be a fraction such as 1/60."""
+    """Return a number above 0, which may be a fraction such as 1/60.
+
+    line: of exposures.csv, for the error. Raises InputError for another text.
+    """
     numerator, _, denominator = cell.partition("/")
     with suppress(ValueError, ZeroDivisionError):
         parts = [read_number(part, has_codes=False) for part in (numerator, denominator or "1")]

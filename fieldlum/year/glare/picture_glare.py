@@ -155,7 +155,10 @@ def glare_answer(
 def _view_rows(
     pixels: Floats, picture: Picture, views: Views, sources: Sources, sun: SunSource | None
 ) -> list[JsonTable]:
-    """Return the figures of each direction. pixels : luminance [H, W] without the sun."""
+    """Return the figures of each direction. pixels : luminance [H, W] without the sun.
+
+    views, sources : of the picture; sun : its sun, None without one.
+    """
     rays = None if sun is None else projection.direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
     coverage = metrics.view_coverage(views)

@@ -489,7 +489,11 @@ def reference_glare_of_file(path: Path) -> ReferenceGlare:
 
 
 def _parse(text: str, trouble: str) -> ReferenceGlare:
-    """Parse the line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` and the number of sources."""
+    """Parse the line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` and the number of sources.
+
+    text: what evalglare printed; trouble: what it reported as error. Raises FieldlumError without
+    that line.
+    """
     line = next((line for line in text.splitlines() if line.startswith("dgp,")), "")
     names, _, values = line.partition(":")
     row = dict(zip(names.split(","), values.split(), strict=False))

@@ -191,7 +191,8 @@ def _half_widths(height: int, radius_rad: float) -> Indices:
 
     The last axis is the row of the centre, in a panorama of H = `height` rows. The first axis is
     the row in which the width is measured, from the highest of k rows to the lowest; the centre's
-    row is the middle one. -1 where the circle does not reach, or no row exists.
+    row is the middle one. -1 where the circle does not reach, or no row exists. radius_rad: of the
+    circles.
     """
     reach = max(1, round(radius_rad / np.pi * height))
     altitude = np.pi / 2 - (np.arange(height) + 0.5) / height * np.pi

@@ -274,7 +274,7 @@ class YearHours:
         enough = edi_lx[(self.hour >= first) & (self.hour < last)] >= BROWN_EDI_LX
         count = {ENOUGH_HOURS: enough.sum(axis=0) / (last - first)}
         rows, first = np.isin(self.hour, range(*WELL_HOURS)), WELL_HOURS[0]
-        at = (self.hour[rows] - first, self.day[rows])
+        at = (self.hour[rows] - first, self.day[rows])  # places in `least` [hours, days, d]
         least = np.zeros((WELL_HOURS[1] - first, int(at[1].max(initial=0)) + 1, edi_lx.shape[1]))
         least[at] = edi_lx[rows]
         days = (least.min(axis=0) >= np.array(WELL_EDI_LX)[:, None, None]).sum(axis=1)

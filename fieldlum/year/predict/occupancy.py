@@ -100,12 +100,15 @@ def _days(text: str) -> Iterator[int]:
         ends = [name for name in (first, last if dash else first) if _DAY.fullmatch(name)]
         if len(ends) < 2:
             raise ValueError(f"unknown days '{text}'")
-        a, b = (DAYS.index(name[:3]) for name in ends)
-        yield from ((a + k) % 7 for k in range((b - a) % 7 + 1))
+        first_day, last_day = (DAYS.index(name[:3]) for name in ends)
+        yield from ((first_day + k) % 7 for k in range((last_day - first_day) % 7 + 1))
 
 
 def _hourly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]], column: int) -> Occupancy:
-    """Return the occupancy of a csv with 0 or 1 for each hour; rows: (line number, cells)."""
+    """Return the occupancy of a csv with 0 or 1 for each hour; rows: (line number, cells).
+
+    column: index of that with 0 or 1. Raises InputError for other cells or another number of rows.
+    """
     if len(rows) != 8760:
         raise InputError(path, f"{len(rows)} rows", HOW, "write a row for each hour")
     for number, row in rows:

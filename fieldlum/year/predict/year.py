@@ -274,6 +274,7 @@ def report_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annua
     """Return the maps of `report_hours`, in that order, predicted again.
 
     The maps are not stored before, because all maps of a year would need a gigabyte of memory.
+    fitted, room: the model; light, annual: the hours and their results.
     """
     kinds, hours = [list(part) for part in zip(*report_hours(annual), strict=True)] or ([], [])
     rows, at = np.unique(np.array(hours, np.int64), return_inverse=True)
@@ -343,6 +344,7 @@ def _files(model: Path, weather: Path, sky_view: Path | None) -> dict[str, objec
     """Return the names and digests of the files that a predicted year depends on.
 
     model: its folder; weather: a file, or "synthetic". Raises InputError for a missing file.
+    sky_view: None for that of the model.
     """
     synthetic = str(weather) == SYNTHETIC
     if not synthetic and not weather.is_file():
@@ -415,7 +417,10 @@ def are_full_years(days: int) -> bool:
 def _notes(
     summary: PredictFile, room: ModelRoom, budgets: Sequence[budget.Budget]
 ) -> Iterator[str]:
-    """Yield what a reader of the year must know; summary: with its occupancy and protection."""
+    """Yield what a reader of the year must know; summary: with its occupancy and protection.
+
+    room: of the model; budgets: of the exceeded DGP.
+    """
     occupancy, untrusted = summary.occupancy, summary.occupancy.untrusted_share
     yield (
         "Each hour of the year has one value of the weather. In most weather files it is a mean: "
