@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import sys
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # the workers share the cores; before numpy is loaded
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -10,12 +12,19 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # the workers share the cores; before n
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
+    import pandas as pd
     from tiny_field import Field
+
+
+def pytest_collection_finish() -> None:
+    """Search modules and tests for garbage no more: they are a million objects that all stay."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -25,6 +34,33 @@ def _own_settings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         folder = str(tmp_path_factory.mktemp("settings"))
         patch.setenv("XDG_CONFIG_HOME", folder)
         patch.setenv("APPDATA", folder)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _suns_of_equal_years() -> Iterator[None]:
+    """Compute NREL's positions of the sun once for equal moments and places.
+
+    Hundreds of tests read a year of 8 760 hours, most at the same place. Where no test imports
+    pvlib, nothing is changed.
+    """
+    if "pvlib" not in sys.modules:
+        yield
+        return
+    from pvlib import solarposition
+
+    computed, stored = solarposition.get_solarposition, {}
+
+    def position(time: pd.DatetimeIndex, *place: float, **options: Any) -> pd.DataFrame:
+        key = time.asi8.tobytes(), time.dtype, place, tuple(options.items())
+        if key not in stored:
+            if len(stored) > 63:  # under 100 MB
+                stored.clear()
+            stored[key] = computed(time, *place, **options)
+        return stored[key].copy()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solarposition, "get_solarposition", position)
         yield
 
 

@@ -2,6 +2,7 @@
 
 from datetime import datetime
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,12 @@ _XYZ_TO_SRGB = (
 )
 
 
-def _fractions(values: ArrayLike) -> tuple[Any, ...]:
-    """Return numbers, in one flat tuple, as the fractions that a camera writes: 0.004 as 1/250."""
+@lru_cache(maxsize=64)  # the frames of a bracket have most of them in common
+def _fractions(*values: float) -> tuple[Any, ...]:
+    """Return numbers as the fractions that a camera writes: 0.004 as 1/250."""
     from PIL.TiffImagePlugin import IFDRational
 
-    numbers = [(value, int(1e9 / max(abs(value), 1.0))) for value in np.ravel(values).tolist()]
+    numbers = [(value, int(1e9 / max(abs(value), 1.0))) for value in values]
     # numerator and denominator have 32 bits
     return tuple(IFDRational(Fraction(v).limit_denominator(limit)) for v, limit in numbers)
 
@@ -35,7 +37,7 @@ def _exif_fields(exposure: Exposure, t_camera: datetime | None) -> dict[int, Any
 
     A time with an offset from UTC has OffsetTimeOriginal too.
     """
-    shutter_s, f_number = _fractions([exposure.shutter_s, exposure.f_number])
+    shutter_s, f_number = _fractions(exposure.shutter_s, exposure.f_number)
     fields: dict[int, Any] = {33434: shutter_s, 33437: f_number, 34855: round(exposure.iso)}
     if t_camera is not None:
         fields[36867] = t_camera.strftime("%Y:%m:%d %H:%M:%S")
@@ -79,10 +81,10 @@ def write_dng(
         50707: (_BYTE, bytes((1, 1, 0, 0))),
         50708: (_ASCII, f"{make} {model or 'camera'}"),
         50713: (_SHORT, (2, 2)),
-        50714: (_RATIONAL, _fractions([black[at] for at in np.ndindex(2, 2)])),
+        50714: (_RATIONAL, _fractions(*(black[at] for at in np.ndindex(2, 2)))),
         50717: (_LONG, round(white_dn)),
-        50721: (_SRATIONAL, _fractions(colour_matrix)),
-        50728: (_RATIONAL, _fractions([1, 1, 1])),
+        50721: (_SRATIONAL, _fractions(*np.ravel(colour_matrix).tolist())),
+        50728: (_RATIONAL, _fractions(1, 1, 1)),
         50778: (_SHORT, 21),  # D65
     }
     directory = ImageFileDirectory_v2(prefix=b"II")

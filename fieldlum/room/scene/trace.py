@@ -187,11 +187,13 @@ def _passed(beyond: float, softness: float) -> float:
 
 
 @compiled
-def _inverses(sun: Floats) -> Floats:
-    """Return one over each component of a direction [3], at most 10^9."""
-    inverse = np.empty(3)
-    for axis in range(3):
-        inverse[axis] = 1.0 / (sun[axis] if abs(sun[axis]) >= _SMALLEST else _SMALLEST)
+def _inverses(suns: Floats) -> Floats:
+    """Return one over each component of directions [n, 3], at most 10^9."""
+    inverse = np.empty((len(suns), 3))
+    for hour in range(len(suns)):
+        for axis in range(3):  # a row at a time would compile numba's text of an error: 2 s
+            at = suns[hour, axis]
+            inverse[hour, axis] = 1.0 / (at if abs(at) >= _SMALLEST else _SMALLEST)
     return inverse
 
 
@@ -332,9 +334,7 @@ def add_through(
     """
     axis, outward = int(opening[0]), opening[1]
     along, inner, thickness = 1 - axis, opening[2], (opening[3] - opening[2]) * opening[1]
-    inverse, boxes = np.empty((len(suns), 3)), np.arange(len(low))
-    for hour in range(len(suns)):
-        inverse[hour] = _inverses(suns[hour])
+    inverse, boxes = _inverses(suns), np.arange(len(low))
     for first in range(0, len(face), _BLOCK):
         last = min(first + _BLOCK, len(face))
         bounds = _bounds(position, softness, first, last)
@@ -395,19 +395,19 @@ def _add_outside(
 
     The arguments are those of `add_through`.
     """
-    boxes, hard = np.arange(len(low)), np.full(len(face), HARD_M, np.float32)
+    inverse, boxes = _inverses(suns), np.arange(len(low))
+    hard = np.full(len(face), HARD_M, np.float32)
     for first in range(0, len(face), _BLOCK):
         last = min(first + _BLOCK, len(face))
         bounds = _bounds(position, hard, first, last)
         for hour in range(len(suns)):
             if suns[hour, 2] <= 0.0:
                 continue
-            inverse = _inverses(suns[hour])
-            some = boxes[: _boxes_towards_sun(low, high, bounds, inverse, boxes)]
+            some = boxes[: _boxes_towards_sun(low, high, bounds, inverse[hour], boxes)]
             for point in range(first, last):
                 cosine = _cosine(face[point], suns[hour])
                 if cosine > _GRAZING:
-                    share = _unshaded(low, high, some, position, point, inverse, HARD_M)
+                    share = _unshaded(low, high, some, position, point, inverse[hour], HARD_M)
                     totals[hour, target[point]] += share * cosine * weight[point]
 
 
