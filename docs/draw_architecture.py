@@ -55,6 +55,7 @@ def ranked(dotted: str) -> str:
     return next((head for head in heads if head in known), parts[0])
 
 
+@cache
 def imports() -> dict[str, set[str]]:
     """Return the packages that each package of fieldlum imports, itself left out."""
     found: dict[str, set[str]] = {}

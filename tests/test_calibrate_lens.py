@@ -106,7 +106,7 @@ def test_lens_from_chessboards() -> None:
     rng, columns, rows = np.random.default_rng(8), 9, 6
     truth = LensGeometry((640.0, 480.0), 450.0, 180.0, "equisolid")
     corners = []
-    for _ in range(14):
+    for _ in range(10):
         board = np.mgrid[:columns, :rows].T.reshape(-1, 2) - [(columns - 1) / 2, (rows - 1) / 2]
         turn, lean = 2 * np.pi * rng.random(), np.radians(55 * np.sqrt(rng.random()))
         forward = np.array([np.sin(lean) * np.cos(turn), np.cos(lean), np.sin(lean) * np.sin(turn)])

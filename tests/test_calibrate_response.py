@@ -58,7 +58,7 @@ def test_response_recovers_an_unknown_curve(tmp_path: Path) -> None:
     """
     code = np.arange(256) / 255
     truth = 0.6 * code**2.6 + 0.25 * code**1.5 + 0.15 * code**5
-    folders = [_bracket(tmp_path / f"b{seed}", truth, seed, SHUTTERS) for seed in (1, 2, 3)]
+    folders = [_bracket(tmp_path / f"b{seed}", truth, seed, SHUTTERS) for seed in (1, 2)]
     places = response.sample(response.brackets_in(folders), JPEG_PROFILE, np.random.default_rng(0))
     found = response.fit(places)
     assert found.response.kind == "table"
@@ -76,13 +76,13 @@ def test_a_plain_srgb_camera_is_recognised(tmp_path: Path) -> None:
     places = response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0))
     found = response.fit(places)
     assert found.response.kind == "srgb" and "srgb" in found.choice.line
+    assert "CAUTION" not in found.choice.line
 
 
 @pytest.mark.slow
 @pytest.mark.contract
 def test_a_response_from_a_camera_that_moved_says_so(tmp_path: Path) -> None:
     still = _bracket(tmp_path / "b", response_table("srgb"), 4, SHUTTERS)
-    assert "CAUTION" not in _fitted(still).choice.line
     for path in sorted(still.glob("*.jpg"))[::2]:
         frame = read_jpeg(path)
         write_jpeg(path, np.roll(frame.codes, 6, axis=1), exposure=frame.exposure)

@@ -218,7 +218,7 @@ def test_no_public_class_name_stands_twice() -> None:
 
 def _imports(path: Path) -> Iterator[tuple[str, str]]:
     """Module and name of each `from fieldlum... import name` in a file."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(_tree(path)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fieldlum"):
             yield from ((node.module or "", alias.name) for alias in node.names)
 

@@ -4,6 +4,7 @@ import ast
 import importlib.util
 import re
 import runpy
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,7 @@ DEFINITION = re.compile(r"`(\w+)` (?:in|of)\s+`(fieldlum/[\w/]+\.py)`")
 UNREACHABLE = re.compile(r"\bDESIGN\b|research section|\bissue \d")
 
 
+@cache
 def _drawing():  # type: ignore[no-untyped-def]
     place = ROOT / "docs" / "draw_architecture.py"
     spec = importlib.util.spec_from_file_location("draw_architecture", place)

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from fieldlum import demo, plan
 from fieldlum.cli import main
 from fieldlum.optics.images import read_panorama
-from fieldlum.optics.profiles import shipped
+from fieldlum.optics.profiles import CameraProfile, load_camera_profile, save_profile, shipped
 from fieldlum.session import create_session, open_session
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.session.site_toml import load_site
@@ -29,15 +29,27 @@ def _unseen(name: str) -> Iterator[None]:
     yield
 
 
+def _halved(profile: CameraProfile) -> CameraProfile:
+    """Return a profile with half as many rows and columns on the sensor."""
+    lenses = [
+        replace(a, centre_px=(a.centre_px[0] / 2, a.centre_px[1] / 2), radius_px=a.radius_px / 2)
+        for a in profile.lens
+    ]
+    width_px, height_px = profile.camera.width_px // 2, profile.camera.height_px // 2
+    camera = replace(profile.camera, width_px=width_px, height_px=height_px)
+    return replace(profile, camera=camera, lens=tuple(lenses))
+
+
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, demo.Outcome]:
-    """Every sixth hour of three March days, tiny maps, a draft rendering; a week of weather
-    instead of a year.
+    """Every sixth hour of three March days, tiny maps, a draft rendering, a camera with a quarter
+    of the pixels; a week of weather instead of a year.
     """
     root = tmp_path_factory.mktemp("d")
     setup = load_site(shipped("capture_plans") / "seattle-office.toml")
     request = plan.Request("9-day", today=date(demo.YEAR, 1, 1), year=demo.YEAR)
-    setup = replace(setup, camera=replace(setup.camera, profile=demo.CAMERA))
+    save_profile(root / "small.toml", _halved(load_camera_profile(demo.CAMERA)))
+    setup = replace(setup, camera=replace(setup.camera, profile=str(root / "small.toml")))
     slots = plan.make_plan(setup, request).slots[:36:6]
     create_session(root / "s", setup, slots, {"set": "test"})
     year = (shipped("capture_plans") / demo.WEATHER).read_text("utf-8").splitlines()
@@ -48,7 +60,7 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, demo.Outcom
         if line.split(",")[:2] in (["3", "19"], ["3", "20"], ["3", "21"], ["3", "22"])
     ]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(demo.PRESETS, "quick", (23, "draft", 0.02))
+        patch.setitem(demo.PRESETS, "quick", (23, "draft", 0.0))
         weather = root / "week.csv"
         weather.write_text("\n".join([*year[:head], *week]) + "\n", encoding="utf-8")
         return root / "s", demo.run(root / "s", show=_unseen, workers=1, weather=weather)

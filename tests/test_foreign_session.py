@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 from outside_jpeg import GOOD, exif_segment, jpeg
 from places import SEATTLE
 from tiny_field import T0, Field, make_session
@@ -90,10 +90,9 @@ def _new_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
 
 
-def run_cli(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """Run the command line as a user does."""
-    line = [sys.executable, "-c", "from fieldlum.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(line, capture_output=True, text=True, timeout=120, check=False)
+def run_cli(*arguments: str | Path) -> Result:
+    """Run the command line."""
+    return CliRunner().invoke(main, list(map(str, arguments)))
 
 
 def program(path: Path, proof: Path) -> Path:
@@ -118,7 +117,7 @@ def test_a_program_in_a_stored_address_does_not_run(tmp_path: Path, command: str
     address = f"rpicam:0?program={program(session.root / 'camera', proof)}"
     with_camera(session, address)
     result = run_cli(command, session.root)
-    assert result.returncode == InputError.exit_code
+    assert result.exit_code == InputError.exit_code
     assert not proof.exists()
     assert result.stderr.count("\n") == 1 and "permit it with: fieldlum doctor" in result.stderr
 
@@ -137,7 +136,7 @@ def test_an_address_that_the_user_named_works_until_the_program_changes(tmp_path
     assert proof.exists()
     proof.unlink()
     script.write_text(f"#!/bin/sh\ntouch {proof} # edited\n", encoding="utf-8")
-    assert run_cli("doctor", session.root).returncode == InputError.exit_code
+    assert run_cli("doctor", session.root).exit_code == InputError.exit_code
     assert not proof.exists()
 
 
@@ -296,7 +295,7 @@ def test_the_command_permit_shows_what_a_room_runs(tmp_path: Path) -> None:
     room = tmp_path / "room.rad"
     room.write_text(f"{INERT}!touch {tmp_path / 'ran'}\n")
     result = run_cli("permit", room)
-    assert result.returncode == 0 and f"runs: touch {tmp_path / 'ran'}" in result.stdout
+    assert result.exit_code == 0 and f"runs: touch {tmp_path / 'ran'}" in result.stdout
     assert not (tmp_path / "ran").exists()
     traced(room)
     assert (tmp_path / "ran").exists()
@@ -317,7 +316,7 @@ def test_a_person_who_plans_with_a_room_file_pairs_it_later_without_a_question(
     setup = SiteFile(SEATTLE, CameraSetup(), room_of(room))
     site.write_text(tomli_w.dumps(site_table(setup)), encoding="utf-8")
     result = run_cli("plan", site, "--set", "4-day", "--out", tmp_path / "s")
-    assert result.returncode == 0, result.stderr
+    assert result.exit_code == 0, result.stderr
     assert "permitted, as you plan with it" in result.stderr
     traced(room)
     assert replace(setup).room == Session(tmp_path / "s").site_file().room
@@ -687,7 +686,7 @@ def test_raw_on_another_disk_works_once_it_is_permitted(rig: Field, tmp_path: Pa
     other = tmp_path / "disk"
     other.mkdir()
     link = linked(rig.session, "raw", other)
-    assert run_cli("permit", link).returncode == 0
+    assert run_cli("permit", link).exit_code == 0
     assert open_session(rig.session.root) == rig.session
     rig.run()
     assert len(list(other.glob("*/*.dng"))) == 9

@@ -155,7 +155,7 @@ def test_the_budget_of_the_year_sums_to_monte_carlo_through_the_chain() -> None:
     assert len(budgets) == 2 * 5 and all(len(b.sources) == 9 for b in budgets)
     of_map = figures["edi_of_map_lx"]
     of_sun, shares = figures["melanopic_edi_lx"] - of_map, []
-    for k in range(1500):
+    for k in range(600):
         model, fit = (year_errors(sky.shape, rng) for _ in range(2))
         scale, weight, lx, air = rng.standard_normal(4) * (0.04, 0.025, 0.05, U_SUN_RATIO)
         edi = of_map * (1 + 0.12 * model) * (1 + 0.06 * fit) * (1 + scale) * (1 + weight)

@@ -52,10 +52,10 @@ def test_noise_is_covered(bench: ModuleType, kind: str, parts: tuple[str, ...]) 
 @pytest.mark.property
 def test_the_whole_budget_is_covered(bench: ModuleType) -> None:
     parts = tuple(p for p in bench.PARTS if p != "response")
-    everything, _ = bench.run(bench.Set("raw", parts), 25, 5)
+    everything, _ = bench.run(bench.Set("raw", parts), 12, 5)
     assert (
         90 < bench.coverage(everything.pull) <= 100
-    )  # 25 cameras: 2 % either way; and not by being too wide:
+    )  # 12 cameras: 3 % either way; and not by being too wide:
     assert np.sqrt(np.mean(everything.pull**2)) > 0.75
 
 

@@ -127,8 +127,7 @@ def test_brackets_become_panoramas_and_are_kept(session: Session) -> None:
 @pytest.mark.property
 @pytest.mark.numeric
 def test_two_workers_write_the_files_of_one(session: Session) -> None:
-    for number in range(2):
-        take(session, number)
+    slots = [take(session, number) for number in range(2)]
 
     def written(workers: int) -> dict[str, bytes]:
         merge.run(session, SMALL, scheduler=Scheduler(workers), force=True)
@@ -136,6 +135,12 @@ def test_two_workers_write_the_files_of_one(session: Session) -> None:
 
     alone = written(1)
     assert len(alone) >= 4 and written(2) == alone
+    for path in session.panoramas.glob("*.*"):
+        path.unlink()
+    with merge.merging(session, SMALL) as merge_early:
+        merge_early(slots[0]).result()
+    assert [v.state for v in merge.run(session, SMALL)] == ["kept", "merged"]
+    assert {path.name: path.read_bytes() for path in session.panoramas.glob("*.*")} == alone
     assert [v.state for v in merge.run(session, MergeOptions(height=20))] == ["merged", "merged"]
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -79,12 +80,14 @@ def _captures(days: tuple[tuple[int, int], ...], clear: bool = True) -> Dataset:
     )
 
 
-CAPTURES = _captures(((3, 19), (3, 20), (3, 21), (12, 20), (12, 21)))
+@cache
+def captures() -> Dataset:
+    return _captures(((3, 19), (3, 20), (3, 21), (12, 20), (12, 21)))
 
 
 @pytest.mark.analytic
 def test_suns_of_neighbouring_days_are_one_direction() -> None:
-    suns = CAPTURES.light.sun_direction[:24]  # three days at the equinox, eight hours each
+    suns = captures().light.sun_direction[:24]  # three days at the equinox, eight hours each
     assert directions_apart(suns) == 8
 
 
@@ -99,16 +102,16 @@ def test_a_dense_series_has_as_many_directions_as_a_sparse_one() -> None:
 
 def _under(dni_wm2: np.ndarray) -> Dataset:
     """Return the captures under other direct irradiance, with suns over 3 degrees."""
-    light = CAPTURES.light
+    light = captures().light
     up = light.sun_altitude_deg > 3.0
     light = light_at(light.t_utc, SEATTLE, np.where(up, dni_wm2, 0.0), light.dhi_wm2)
-    return replace(CAPTURES, light=light)
+    return replace(captures(), light=light)
 
 
 @pytest.mark.property
 def test_the_faint_sun_of_overcast_days_is_no_sunny_hour() -> None:
     """Sunshine is direct irradiance of at least 120 W/m2 (WMO-No. 8)."""
-    faint = _under(np.full(len(CAPTURES), 60.0))
+    faint = _under(np.full(len(captures()), 60.0))
     assert direct_on_windows_lx(faint, ROOM).max() > 1000.0
     for near_strongest in (False, True):
         assert not sunny_hours(faint, ROOM, near_strongest=near_strongest).any()
@@ -117,14 +120,14 @@ def test_the_faint_sun_of_overcast_days_is_no_sunny_hour() -> None:
     line = str(refused.value)
     assert line.startswith("0 captures have direct sun of at least 120 W/m² on a window")
     assert "capture clear hours" in line and "\n" not in line
-    few = np.full(len(CAPTURES), 60.0)
+    few = np.full(len(captures()), 60.0)
     few[3:6] = 700.0  # with three hours of sunshine, only these count
     assert (np.flatnonzero(sunny_hours(_under(few), ROOM, near_strongest=True)) == [3, 4, 5]).all()
 
 
 @pytest.mark.property
 def test_with_sunshine_strong_hours_count_by_their_light_alone() -> None:
-    weak = np.where(np.arange(len(CAPTURES)) % 2, 100.0, 800.0)
+    weak = np.where(np.arange(len(captures())) % 2, 100.0, 800.0)
     data = _under(weak)
     onto = direct_on_windows_lx(data, ROOM)
     near = sunny_hours(data, ROOM, near_strongest=True)
@@ -151,10 +154,10 @@ def _mean(data: Dataset, stated: Room) -> MeanTransport:
 @pytest.mark.analytic
 def test_a_wrong_window_has_a_small_share_and_a_larger_expected_error() -> None:
     """A model that has true patches counts them, up to the share that is left to other suns."""
-    wrong = _with_patches_of(CAPTURES, SHIFTED)
-    shares = [_mean(CAPTURES, SHIFTED).share, _mean(wrong, ROOM).share]
+    wrong = _with_patches_of(captures(), SHIFTED)
+    shares = [_mean(captures(), SHIFTED).share, _mean(wrong, ROOM).share]
     assert shares[0] == MAX_SHARE > shares[1]
-    years = [expected_year(data) for data in (CAPTURES, wrong)]
+    years = [expected_year(data) for data in (captures(), wrong)]
     assert years[0].expected_log10_mse < years[1].expected_log10_mse
     # five days of two seasons: the suns of other seasons are far from all captures
     assert years[0].trusted_share < 0.5
@@ -162,8 +165,8 @@ def test_a_wrong_window_has_a_small_share_and_a_larger_expected_error() -> None:
 
 @pytest.mark.property
 def test_the_mean_of_two_models_is_no_worse_than_their_mean(tmp_path: Path) -> None:
-    data = _with_patches_of(CAPTURES, SHIFTED)
-    some = CAPTURES.take(np.arange(3, 40, 7))
+    data = _with_patches_of(captures(), SHIFTED)
+    some = captures().take(np.arange(3, 40, 7))
     patches = _with_patches_of(some, SHIFTED).patch_cdm2
     mean = _mean(data, ROOM)
     save(tmp_path, mean, data)
@@ -186,10 +189,10 @@ def test_the_mean_of_two_models_is_no_worse_than_their_mean(tmp_path: Path) -> N
 
 @pytest.mark.analytic
 def test_the_year_has_the_captures_skies() -> None:
-    times = CAPTURES.light.t_utc
+    times = captures().light.t_utc
     clear = sun.clearsky(times, SEATTLE)
     half = light_at(times, SEATTLE, 0.5 * clear.dni_wm2, 2.0 * clear.dhi_wm2)
-    year = light_of_year(replace(CAPTURES, light=half), np.random.default_rng(0))
+    year = light_of_year(replace(captures(), light=half), np.random.default_rng(0))
     here = sun.clearsky(year.t_utc, SEATTLE)
     assert (year.sun_altitude_deg > 0.0).all() and len({t.month for t in year.t_utc}) == 12
     np.testing.assert_allclose(year.dni_wm2, 0.5 * here.dni_wm2, rtol=1e-6, atol=1e-6)
@@ -225,7 +228,10 @@ def _fit_of(captures: Dataset) -> Scene:
     )
 
 
-STATED = replace(CAPTURES, patch_cdm2=None, setup=replace(CAPTURES.setup, room=SHIFTED))
+@cache
+def stated() -> Dataset:
+    setup = replace(captures().setup, room=SHIFTED)
+    return replace(captures(), patch_cdm2=None, setup=setup)
 
 
 @pytest.mark.property
@@ -235,7 +241,7 @@ def test_what_the_model_expects_reaches_the_scene(
 ) -> None:
     year = YearExpectation(3e-3, share, 150)
     monkeypatch.setattr(stage, "expected_year", lambda *_args, **_more: year)
-    found = stage.judged_scene(STATED, _fit_of(STATED))
+    found = stage.judged_scene(stated(), _fit_of(stated()))
     assert found.chosen == "fitted" and found.trusted == (share > 0.5)
     assert found.expected_log10_mse == 3e-3 and found.trusted_share == share
     assert f"{100 * share:.0f} % of a year" in found.verdict
@@ -243,8 +249,8 @@ def test_what_the_model_expects_reaches_the_scene(
 
 @pytest.mark.property
 def test_too_few_directions_of_the_sun_are_not_trusted() -> None:
-    one = STATED.take([3, 11, 19])  # the same hour of three days
-    scene_ = stage.judged_scene(one, _fit_of(CAPTURES))
+    one = stated().take([3, 11, 19])  # the same hour of three days
+    scene_ = stage.judged_scene(one, _fit_of(captures()))
     assert scene_.chosen == "fitted" and not scene_.trusted
     assert scene_.expected_log10_mse is None
     assert any("directions" in note for note in scene_.notes)
@@ -254,6 +260,6 @@ def test_too_few_directions_of_the_sun_are_not_trusted() -> None:
 def test_a_choice_by_few_clear_hours_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     year = YearExpectation(3e-3, 0.9, 150)
     monkeypatch.setattr(stage, "expected_year", lambda *_args, **_more: year)
-    scene_ = stage.judged_scene(STATED, replace(_fit_of(STATED), hours=15))
+    scene_ = stage.judged_scene(stated(), replace(_fit_of(stated()), hours=15))
     assert scene_.chosen == "fitted" and not scene_.trusted
     assert any("until there are 18" in note for note in scene_.notes)

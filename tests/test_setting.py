@@ -53,11 +53,9 @@ def with_patches(data: Dataset) -> Dataset:
 
 @cache
 def captured() -> Dataset:
-    """Six clear days; walls that follow the light and the patches of the room itself."""
+    """Four clear days; walls that follow the light and the patches of the room itself."""
     start = datetime(2027, 1, 1, 17, 0, tzinfo=UTC)
-    times = [
-        start + timedelta(days=d, hours=h) for d in (20, 50, 75, 260, 290, 330) for h in range(7)
-    ]
+    times = [start + timedelta(days=d, hours=h) for d in (20, 75, 260, 330) for h in range(7)]
     n = len(times)
     light = light_at(times, SEATTLE, np.where(np.arange(n) % 5 == 0, 0.0, 700.0), np.full(n, 120.0))
     light = light[light.sun_altitude_deg > 3.0]

@@ -64,7 +64,7 @@ def test_the_budget_sums_to_what_monte_carlo_gives(figure: str) -> None:
     rng = np.random.default_rng(3)
     key = {"DGP": "dgp", "Ev": "ev_lx"}[figure]
     drawn = []
-    for _ in range(800):
+    for _ in range(400):
         common = 1 + SCALE * rng.standard_normal() + COLOUR * rng.standard_normal()
         own = 1 + NOISE * rng.standard_normal(SIZE)
         lx = sun.normal_illuminance_lx * common * (1 + 0.05 * rng.standard_normal())
@@ -126,7 +126,7 @@ def test_the_budget_of_a_year_sums_to_monte_carlo() -> None:
     doubt = DgpUncertainty(("seen",), values, values, values[None], u_maps)
     (row,) = year_budget(values, ev, doubt, 3000, np.array([180.0]), {"scale": 0.04})
     slope, drawn = dgp_per_scale(values, ev), []
-    for _ in range(2000):
+    for _ in range(800):
         common, own = rng.standard_normal(), rng.standard_normal((1500, 1))
         error = 0.02 * np.sqrt(0.5) * (common + own) + 0.04 * rng.standard_normal() * slope
         drawn.append(exceeded_in_share(np.clip(values + error, 0, 1), 3000)[0])
