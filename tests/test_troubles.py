@@ -22,20 +22,20 @@ from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import light_at
 from fieldlum.sky.daylight_kernel import light_features
+from fieldlum.weather import Weather
 
 SETUP = load_site(shipped("capture_plans") / "seattle-office.toml")
-SLOTS = plan.make_plan(SETUP, plan.Request("9-day", today=date(2027, 1, 1), year=2027)).slots
-WEATHER = simulate.weather_for(SETUP)
-TIMES = [slot.t_utc for slot in SLOTS]
 
 
 # ----------------------------------------------------------------------------------------------
 # skies that are not Perez
 
 
-def _cloudy(truth: simulate.LitRoom, times: list[datetime], sd: float, seed: int) -> Dataset:
+def _cloudy(
+    truth: simulate.LitRoom, weather: Weather, times: list[datetime], sd: float, seed: int
+) -> Dataset:
     """Captures under another cloud field each."""
-    found = WEATHER.at(times)
+    found = weather.at(times)
     dni, dhi = np.nan_to_num(found.dni_wm2), np.nan_to_num(found.dhi_wm2)
     light = light_at(times, SETUP.site, dni, dhi)
     light = light[(light.dni_wm2 + light.dhi_wm2 > 0) & (light.sun_altitude_deg > 0)]
@@ -62,13 +62,16 @@ def _cloudy(truth: simulate.LitRoom, times: list[datetime], sd: float, seed: int
 @pytest.mark.parametrize("sd", [0.4])
 def test_intervals_hold_under_clouds_and_north_is_not_blamed(sd: float) -> None:
     truth_of = simulate.lit_room(SETUP, height=16, quality="draft", workers=1)
-    data = _cloudy(truth_of, TIMES, sd, 3)
-    asked = [slot.t_utc for slot in simulate.sample_slots(SETUP, WEATHER, 80, 4, TIMES)]
+    request = plan.Request("9-day", today=date(2027, 1, 1), year=2027)
+    times = [slot.t_utc for slot in plan.make_plan(SETUP, request).slots]
+    weather = simulate.weather_for(SETUP)
+    data = _cloudy(truth_of, weather, times, sd, 3)
+    asked = [slot.t_utc for slot in simulate.sample_slots(SETUP, weather, 80, 4, times)]
     fitted = models.fit("transport", data, patch="absolute", seed=0)
     assert isinstance(fitted, Transport)
     perez = light_features(data.light).sky  # the skies that the windows showed are used
     assert not np.array_equal(fitted.captured.sky, perez)
-    found = summary(evaluate(fitted, truth(_cloudy(truth_of, asked, sd, 9), glare=False)))
+    found = summary(evaluate(fitted, truth(_cloudy(truth_of, weather, asked, sd, 9), glare=False)))
     assert 0.85 <= found["in_90_band"] <= 0.95
     text = " ".join(
         (
