@@ -123,12 +123,17 @@ def test_coarse_rows_are_refused() -> None:
 
 @pytest.mark.contract
 def test_unsteady_light_is_cautioned_then_refused() -> None:
+    """With one text each: a percentage of its own hid rarer cautions behind the five commonest."""
     k = np.arange(-9.0, 9.0)
-    for rise, ok in ((0.2, True), (0.9, False)):
+    cautioned, refused = (
+        "light changed by over 10 %",
+        "light changed by over 50 % during the bracket",
+    )
+    for rise, text in ((0.2, cautioned), (0.3, cautioned), (0.9, refused), (1.5, refused)):
         light = irradiance_during(
             log(k, np.where(k < 3, 400.0, 400.0 * (1 + rise))), NOON, NOON + timedelta(seconds=30)
         )
-        assert (light.why == "") is ok and "light changed" in light.caution + light.why
+        assert (light.why or light.caution) == text and bool(light.why) is (text == refused)
         assert light.doubtful
 
 

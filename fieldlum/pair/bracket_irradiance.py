@@ -96,9 +96,9 @@ def _statistics(log: CleanIrradiance, rows: Mask) -> BracketIrradiance:
     if dhi.mean() > 1.05 * mean + 10.0:
         why = "diffuse irradiance is above global: the two columns may be exchanged"
     elif steadiness > 0.50 and spread > 10.0:
-        why = f"light changed by {100 * steadiness:.0f} % during the bracket"
+        why = "light changed by over 50 % during the bracket"
     elif steadiness > 0.10 and spread > 10.0:
-        caution.append(f"light changed by {100 * steadiness:.0f} %")
+        caution.append("light changed by over 10 %")
     words = {word for text in log.flags[rows] for word in str(text).split()}
     caution += [text for word, text in _CAUTIONS.items() if word in words]
     derived = [text for text in log.source[rows] if text != MEASURED]
