@@ -8,6 +8,9 @@ year's hours with the true one. --size: diameter of the fisheye [px]; --poses: t
 a wrong heading (1 and 5 degrees), tilt (1 degree) or lens scale (1 %), each with and without the
 captured discs. Prints one row each; OUT keeps the merges, so that a second run
 is quick.
+
+DGP's mean squared error is that of the disc alone (true maps), then that of a model, transport of
+nine cloudy days without a room, with the true disc and with the estimated one.
 """
 
 from __future__ import annotations
@@ -16,17 +19,20 @@ import argparse
 import pickle
 import shutil
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import date, datetime
 from pathlib import Path
 
 import numpy as np
 from troubles import Trouble, Troubles, true_light
 
-from fieldlum.core.arrays import Floats, Indices, Mask
+from fieldlum import plan
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import CameraSetup, Obstruction, Panorama, Room, Site, SiteFile, Window
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import DetailedPanorama, SimulatedLight
+from fieldlum.learn import transport
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.merge import MergeOptions, Shot, merge_shots
 from fieldlum.merge.bracket import MergeResult
 from fieldlum.optics.linear_light import sensor_pitch_deg
@@ -34,17 +40,22 @@ from fieldlum.optics.profiles import CameraProfile, bracket_exposures, load_came
 from fieldlum.optics.projection import direction
 from fieldlum.room import simulate
 from fieldlum.room.scene import build, disc_visibility
+from fieldlum.room.scene.radiosity import LitRoom
 from fieldlum.room.simulate.fine_windows import fine_windows
+from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.estimate_from_captures import Captured, sky_view_of
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky.sky_view.visible_disc import disc_of_hours, drawn_shares
+from fieldlum.weather import Weather
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.sources import panorama_views
 
+YEAR = 2027
 HEIGHT = 60  # rows of the truth and of panoramas
 YEAR_HOURS = 1500  # of a year, at random, of which the disc is compared
 GLARE_HOURS = 40  # of these, for DGP: those whose disc is most in error
+CLOUDS = Troubles(clouds=Trouble(0.2, 9))  # on the Perez skies of captures
 DIRECTIONS_DEG = np.arange(0.0, 360.0, 45.0)
 SEATTLE = Site("frames", 47.6, -122.3, "America/Los_Angeles")
 WRONG = {"": (0.0, 0.0, 0.0), "heading 1": (1.0, 0.0, 0.0), "heading 5": (5.0, 0.0, 0.0)}
@@ -122,13 +133,21 @@ class OneScene:
 
 @dataclass(frozen=True)
 class Case:
-    """A room, the light of a year's hours, the disc's true share of their beam, and captures."""
+    """A room, the light of a year's hours, the disc's true share of their beam, and captures.
+
+    sunny: the hours with a beam; maps: the true ones in these hours and those of transport, learnt
+    from nine days without a room, [m, H, W]; dgp: of both with the true disc, [m, d].
+    """
 
     setup: SiteFile
+    truth: LitRoom
     light: Light
     visible: Floats
     share: Floats
     captured: Indices
+    sunny: Indices
+    maps: tuple[Floats32, Floats32]
+    dgp: tuple[Floats, Floats]
 
 
 def case(setup: SiteFile, captures: int) -> Case:
@@ -147,17 +166,62 @@ def case(setup: SiteFile, captures: int) -> Case:
     clear = np.flatnonzero((visible == 0.0) & (light.dni_wm2 > 200.0))
     third, rng = captures // 3, np.random.default_rng(6)
     chosen = [rng.permutation(some)[:third] for some in (overcast, with_disc, clear)]
-    return Case(setup, light, visible, visible * through, np.sort(np.concatenate(chosen)))
+    truth = simulate.lit_room(setup, height=HEIGHT, quality="draft")
+    model = transport.fit(nine_days(setup, weather, truth))
+    sunny, share = np.flatnonzero(light.direct_lx > 1000.0), visible * through
+    lit = light[sunny]
+    maps = truth.render(lit).luminance_cdm2, model.predict(lit).luminance_cdm2
+    dgp = tuple(dgp_of(some, lit, share[sunny], setup.camera.heading_deg) for some in maps)
+    return Case(
+        setup=setup,
+        truth=truth,
+        light=light,
+        visible=visible,
+        share=share,
+        captured=np.sort(np.concatenate(chosen)),
+        sunny=sunny,
+        maps=maps,
+        dgp=(dgp[0], dgp[1]),
+    )
+
+
+def dgp_of(maps: Floats32, light: Light, share: Floats, heading_deg: float) -> Floats:
+    """Return DGP of maps [n, H, W] with a disc of a share [n] of the beam, [n, d]."""
+    views = panorama_views(*maps.shape[1:], heading_deg, DIRECTIONS_DEG)
+    disc_lx = share * light.direct_lx
+    return glare_directions(maps, views, light.apparent_sun_direction, disc_lx)["dgp"]
+
+
+def nine_days(setup: SiteFile, weather: Weather, truth: LitRoom) -> Dataset:
+    """Return the captures of nine days under clouds, without a room or the sun's disc."""
+    slots = plan.make_plan(setup, plan.Request("9-day", date(YEAR, 1, 1), None, YEAR)).slots
+    times = [slot.t_utc for slot in slots]
+    then = weather.at(times)
+    light = light_at(times, setup.site, np.nan_to_num(then.dni_wm2), np.nan_to_num(then.dhi_wm2))
+    lit = (light.dni_wm2 + light.dhi_wm2 > 0.0) & (light.sun_altitude_deg > 0.0)
+    light = light[lit]
+    maps = truth.render(true_light(light, CLOUDS, setup.site)).luminance_cdm2
+    return Dataset(
+        light=light,
+        luminance_cdm2=maps,
+        patch_cdm2=None,
+        disc_lx=np.zeros(len(light)),
+        heading_deg=setup.camera.heading_deg,
+        days=np.array([sun.standard_date(t, setup.site.timezone) for t in light.t_utc], "M8[D]"),
+        slots=tuple(slot.id for slot, some in zip(slots, lit, strict=True) if some),
+        setup=replace(setup, room=None),
+        seen=np.ones(maps.shape[1:], bool),
+        steadiness=np.zeros(len(light)),
+    )
 
 
 def take(made: Case, profile: CameraProfile, folder: Path, stated: dict[str, CameraProfile]):
     """Yield, for each capture, its merges by the name of the stated pose; `folder` keeps them."""
-    truth = simulate.lit_room(made.setup, height=HEIGHT, quality="draft")
+    truth = made.truth
     fine = fine_windows(truth, sensor_pitch_deg(profile))
     assert fine is not None
     site, heading = made.setup.site, made.setup.camera.heading_deg
-    clouds = Troubles(clouds=Trouble(0.2, 9))
-    cloudy = true_light(made.light[made.captured], clouds, site)
+    cloudy = true_light(made.light[made.captured], CLOUDS, site)
     frames = folder / "frames"
     # one camera for all captures, because its map from scene to sensor takes most of the time
     world, clock = OneScene(), FastClock(cloudy.t_utc[0])
@@ -217,7 +281,7 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
         captured, discs, made.setup.site, axis_deg, lambda rays: in_lens(rays, axis_deg)
     )
     disc = disc_of_hours(view, made.light)
-    sunny = np.flatnonzero(made.light.direct_lx > 1000.0)
+    sunny = made.sunny
     own = disc.best_lx[sunny] / made.light.direct_lx[sunny]
     true = made.share[sunny]
     drawn = drawn_shares(view, made.light[sunny], np.random.default_rng(0))
@@ -230,7 +294,6 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
     told = seen & ~open_hours
     error = (own - true)[partly]
     rms, behind = float(np.sqrt(np.mean(error**2))), np.maximum(own, true) > 0.02
-    dgp, wrong = glare(made, sunny, own)
     off = f"{view.pose.heading_deg:+.2f}+-{view.pose.heading_sd_deg:.2f}"
     return (
         f"discs {len(measured)}, heading {off}, shown {(shown & there).sum()}/{there.sum()}, "
@@ -240,7 +303,7 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
         f"interval holds {inside[seen].mean():.3f} (with disc {inside[seen & there].mean():.3f}), "
         f"cannot tell {open_hours.sum()}, of the others shown {(shown & there & told).sum()}/"
         f"{(there & told).sum()}, phantom {(shown & ~there & told).sum()}/{(~there & told).sum()}, "
-        f"DGP MSE of the disc {dgp:.1e}, other class {wrong}"
+        f"{glare(made, own, low, high)}"
     )
 
 
@@ -249,24 +312,31 @@ def in_lens(rays: Floats, axis_deg: float) -> Mask:
     return rays @ direction(0.0, axis_deg) > np.cos(np.radians(94.0))
 
 
-def glare(made: Case, sunny: Indices, own: Floats) -> tuple[float, str]:
-    """Return the DGP error of the disc alone on true maps, and how many views change class."""
-    truth = simulate.lit_room(made.setup, height=HEIGHT, quality="draft")
-    worst = np.argsort(-np.abs(own - made.share[sunny]), kind="stable")[:GLARE_HOURS]
+def glare(made: Case, own: Floats, low: Floats, high: Floats) -> str:
+    """Return DGP's errors by the disc alone and by the model, and the views in another class.
+
+    own, low, high: share of the beam in the sunny hours, with the bounds of its interval. A class
+    is stated if both bounds of the disc give it.
+    """
+    sunny, heading_deg = made.sunny, made.setup.camera.heading_deg
+    true = made.share[sunny]
+    worst = np.argsort(-np.abs(own - true), kind="stable")[:GLARE_HOURS]
     some = made.light[sunny[worst]]
-    maps = truth.render(some).luminance_cdm2
-    views = panorama_views(*maps.shape[1:], made.setup.camera.heading_deg, DIRECTIONS_DEG)
-    dgp = [
-        glare_directions(maps, views, some.apparent_sun_direction, share[worst] * some.direct_lx)[
-            "dgp"
-        ]
-        for share in (made.share[sunny], own)
-    ]
-    classes = [np.digitize(values, (0.35, 0.40, 0.45)) for values in dgp]
-    changed = int((classes[0] != classes[1]).sum())
     # hours beyond the worst have nearly the true disc
-    mse = float(((dgp[1] - dgp[0]) ** 2).sum() / (len(sunny) * len(DIRECTIONS_DEG)))
-    return mse, f"{changed}/{classes[0].size}"
+    dgp = made.dgp[0].copy(), made.dgp[1].copy()
+    for values, maps in zip(dgp, made.maps, strict=True):
+        values[worst] = dgp_of(maps[worst], some, own[worst], heading_deg)
+    errors = [((v - made.dgp[0]) ** 2).mean() for v in (dgp[0], made.dgp[1], dgp[1])]
+    bounds = [dgp_of(made.maps[0][worst], some, s[worst], heading_deg) for s in (low, high)]
+    every = made.dgp[0][worst], dgp[0][worst], *bounds
+    there, best, least, most = (np.digitize(values, (0.35, 0.40, 0.45)) for values in every)
+    stated = least == most
+    return (
+        f"DGP MSE of the disc {errors[0]:.1e}, of transport with the true disc {errors[1]:.1e}, "
+        f"own {errors[2]:.1e}, ratio {errors[2] / errors[1]:.2f}, other class "
+        f"{(best != there).sum()}/{there.size}, stated and wrong "
+        f"{(stated & (least != there)).sum()}/{stated.sum()}"
+    )
 
 
 def main() -> None:

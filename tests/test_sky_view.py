@@ -114,7 +114,10 @@ def test_a_strip_of_two_half_open_pixels_has_the_glass_of_wider_panes() -> None:
 
 @pytest.mark.analytic
 def test_captured_discs_correct_the_glass_as_far_as_they_are_surer_than_the_sky() -> None:
-    """One disc moves it a part of the way; of two the larger counts, as an edge hides a part."""
+    """One disc moves it a part of the way; of two the larger counts, as an edge hides a part.
+
+    One with a sixth of the light was between slats, and does not darken the glass.
+    """
     pictures = _pictures(np.ones((32, 32)), 0.6)
     suns = np.array(GRID.pixels(LIGHT.apparent_sun_direction))
     inside = (np.abs(suns - 16.0) < 12.0).all(axis=0) & (LIGHT.direct_lx > 10_000.0)
@@ -128,6 +131,26 @@ def test_captured_discs_correct_the_glass_as_far_as_they_are_surer_than_the_sky(
     without, one = glass({}), glass({first: 0.8})
     assert without + 0.3 * (0.8 - without) < one < 0.8
     assert one - 0.01 < glass({first: 0.8, second: 0.5}) < 0.8
+    assert glass({first: 0.1}) == pytest.approx(without)
+
+
+@pytest.mark.analytic
+def test_one_open_pixel_of_a_lens_between_mixed_ones_may_hide_a_disc() -> None:
+    """The lens's blur leaves open which part of a gap between slats is open."""
+    grid = replace(GRID, step_deg=0.5)
+    openness = np.zeros((32, 32))
+    openness[2:12, 4:28] = openness[17, 4:28] = 1.0
+    openness[[16, 18], 4:28] = 0.5
+    sky = LIGHT.sky_at(grid.rays().reshape(-1, 3)).reshape(SKY.shape)
+    pictures = _clouds() * 0.8 * openness * sky + (1.0 - openness) * 0.08 * _shade()
+
+    def read(k: int) -> SkyPicture:
+        return SkyPicture(pictures[k].astype(np.float32), np.zeros((32, 32), bool), grid)
+
+    view = estimate(Captured(LIGHT, read, np.full(len(LIGHT), np.nan)))
+    assert (view.openness[17, 5:27] > 0.9).all()
+    assert (view.low[17, 5:27] == 0.0).all()
+    assert (view.low[4:10, 6:26] > 0.3).all()
 
 
 @pytest.mark.analytic

@@ -34,7 +34,7 @@ from fieldlum.sky.sky_view.sky_directions import (
     sky_share,
 )
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
-from fieldlum.sky.sky_view.view import LENS_PIXEL_DEG, REACH_DAYS, SkyView
+from fieldlum.sky.sky_view.view import LENS_PIXEL_DEG, REACH_DAYS, SkyView, between
 from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours, efficacy_u
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
@@ -465,12 +465,16 @@ def _bounds(
 
     openness, u: share of open sky and its standard uncertainty; mixed: pixels of sky and edge;
     pane: transmittance; all [h, w]; step_deg: size of a pixel. A mixed pixel blurs what its
-    neighbours show, and one that is larger than the sun's disc may show all of it or none.
+    neighbours show, and one that is larger than the sun's disc may show all of it or none. So may
+    an open pixel of a lens between two such: a gap between slats.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    blurred_deg = step_deg * (2.0 if step_deg < LENS_PIXEL_DEG else 1.0)  # over which it is a mean
+    is_lens = step_deg < LENS_PIXEL_DEG
+    blurred_deg = step_deg * (2.0 if is_lens else 1.0)  # over which it is a mean
     pixel_sr = np.radians(blurred_deg) ** 2
+    if is_lens and pixel_sr > SUN_SOLID_ANGLE_SR:
+        mixed = mixed | ((openness >= _OPEN) & between(mixed))
     larger = np.where(mixed, max(1.0, pixel_sr / SUN_SOLID_ANGLE_SR), 1.0)
     around = np.where(mixed, maximum_filter(openness, 3), openness)
     within = np.where(mixed, minimum_filter(openness, 3), openness)
@@ -586,16 +590,19 @@ def _gain(view: SkyView, captured: Captured) -> float:
     """Return the factor of the transmittance by captured discs, as far as they are surer; else 1.
 
     Low suns count less, because their luminous efficacy is uncertain. Of two discs the larger
-    counts, of more the 60th percentile: an edge may hide a part.
+    counts, of more the 60th percentile: an edge may hide a part. Fewer than three that are far off
+    show an edge between slats or leaves, not the pane.
     """
     disc = disc_of_hours(view, captured.light)
     sure = captured.disc_share > _SHUT
     sure &= (disc.low_lx > 0.5 * disc.best_lx) & (disc.best_lx > 0.0)
-    if not sure.any():
-        return 1.0
     light = captured.light[sure]
     off = np.log(captured.disc_share[sure] * light.direct_lx / disc.best_lx[sure])
     weight = 1.0 / (_DISC_U**2 + efficacy_u(light) ** 2)
+    if len(off) < MIN_DISCS:
+        weight *= np.abs(off) < 2.0 * np.sqrt(_SCALE_SD**2 + 1.0 / weight)
+    if not weight.any():
+        return 1.0
     gain = -np.quantile(-off, 0.4, weights=weight, method="inverted_cdf")
     return float(np.clip(np.exp(gain / (1.0 + 1.0 / (weight.sum() * _SCALE_SD**2))), 0.5, 1.5))
 

@@ -281,12 +281,17 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
         fine[edge] = np.where(drawn >= minimum, _enlarged(pane, factor), 0.0)[edge]
     # Slats of a lens's pixel look like a blurred edge, and a bar in a pixel between open ones can
     # be anywhere in it: the pixel's own bounds hold too.
-    open_ = shown >= _OPEN_PIXEL
-    bars = [mixed & np.roll(open_, 1, axis) & np.roll(open_, -1, axis) for axis in (0, 1)]
-    doubted = _enlarged(bars[0] | bars[1] | lens, factor)
+    bars = mixed & between(shown >= _OPEN_PIXEL)
+    doubted = _enlarged(bars | lens, factor)
     out[1] = np.where(doubted, np.minimum(out[1], own[1]), out[1])
     out[2] = np.where(doubted, np.maximum(out[2], own[2]), out[2])
     return np.where(np.isnan(own), own, out)
+
+
+def between(marked: Mask) -> Mask:
+    """Return the pixels between two marked ones of their row or column, [h, w]."""
+    pairs = [np.roll(marked, 1, axis) & np.roll(marked, -1, axis) for axis in (0, 1)]
+    return pairs[0] | pairs[1]
 
 
 def _shortest_edges(openness: Floats32, factor: int) -> Floats32:
