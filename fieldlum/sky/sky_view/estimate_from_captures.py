@@ -470,10 +470,9 @@ def _bounds(
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    is_lens = step_deg < LENS_PIXEL_DEG
-    blurred_deg = step_deg * (2.0 if is_lens else 1.0)  # over which it is a mean
+    blurred_deg = step_deg * (2.0 if step_deg < LENS_PIXEL_DEG else 1.0)  # over which it is a mean
     pixel_sr = np.radians(blurred_deg) ** 2
-    if is_lens and pixel_sr > SUN_SOLID_ANGLE_SR:
+    if blurred_deg > step_deg and pixel_sr > SUN_SOLID_ANGLE_SR:
         mixed = mixed | ((openness >= _OPEN) & between(mixed))
     larger = np.where(mixed, max(1.0, pixel_sr / SUN_SOLID_ANGLE_SR), 1.0)
     around = np.where(mixed, maximum_filter(openness, 3), openness)

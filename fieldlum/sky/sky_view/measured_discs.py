@@ -53,8 +53,7 @@ def read_discs(session: Session) -> MeasuredDiscs:
     Sidecars without a measured disc or without a time are skipped. sigma_deg is at least 0.02.
     Raises InputError for a damaged sidecar.
     """
-    read = map(_measured, session.sidecar_files())
-    rows = [row for row in read if row is not None]
+    rows = list(filter(None, map(_measured, session.sidecar_files())))
     numbers = np.array([row[:3] for row in rows], float).reshape(-1, 3)
     altitude, azimuth, sigma = numbers.T
     return MeasuredDiscs(altitude, azimuth, sigma, tuple(row[3] for row in rows))
