@@ -265,6 +265,15 @@ def test_edges_and_bars_of_coarse_pictures_are_where_openness_puts_them() -> Non
         got = disc_of_hours(view, light)
         assert got.best_lx / light.direct_lx == pytest.approx(share, abs=0.1), column
         assert got.low_lx <= got.best_lx <= got.high_lx
+    # a tree's crown, thinner towards the open sky: without an open pixel beside it there is no edge
+    crown = np.ones((12, 12), np.float32)
+    crown[:, :3] = 0.0, 0.06, 0.3
+    leaves = SkyView(grid, crown, 0 * full, full, full, 0 * full, 0.8 + 0 * full)
+    for column in (1.2, 1.5, 1.8):
+        light = _at(leaves, 6.5, column)
+        got = disc_of_hours(leaves, light)
+        assert got.best_lx / light.direct_lx == pytest.approx(0.06 * 0.8, abs=0.01)
+        assert got.high_lx / light.direct_lx == pytest.approx(0.8, abs=0.01)
 
 
 @pytest.mark.analytic
