@@ -258,7 +258,7 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
 
     maps [3, h, w], openness [h, w]: at the view's own resolution. The shortest edges between sky
     and what is in front of it give each pixel its openness. Where mixed pixels fill a square, slats
-    or leaves keep their mean, of larger pixels than a lens's also if no pixel beside them is open.
+    or leaves keep their mean; in pixels larger than a lens's also where none beside them is open.
     """
     from scipy.ndimage import binary_opening, find_objects, maximum_filter
 
@@ -269,8 +269,9 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
     mixed = (shown > 0.0) & (shown < _OPEN_PIXEL)
     texture = np.asarray(binary_opening(mixed, np.ones((size, size))), bool)
     if not lens:  # an edge of the sky has an open pixel beside it; gaps in a tree's crown have none
-        no_edge = maximum_filter(shown, 3) < _OPEN_PIXEL
-        texture |= np.asarray(binary_opening(mixed, np.ones((2, 2))), bool) & no_edge
+        blocks = np.asarray(binary_opening(mixed, np.ones((2, 2))), bool)
+        no_edge = blocks & (maximum_filter(shown, 3) < _OPEN_PIXEL)
+        texture |= blocks & maximum_filter(no_edge, 3)
     edge = _enlarged((maximum_filter(shown, size) > 0.0) & ~texture, factor)
     own = _enlarged(maps, factor)
     drawn = np.zeros(own.shape[1:], np.float32)
