@@ -258,7 +258,7 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
 
     maps [3, h, w], openness [h, w]: at the view's own resolution. The shortest edges between sky
     and what is in front of it give each pixel its openness. Where mixed pixels fill a square, slats
-    or leaves keep their mean; in pixels larger than a lens's also where none beside them is open.
+    or leaves keep their mean; in pixels larger than a lens's also where none next to them is open.
     """
     from scipy.ndimage import binary_opening, find_objects, maximum_filter
 
