@@ -271,7 +271,9 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
     if not lens:  # an edge of the sky has an open pixel beside it; gaps in a tree's crown have none
         blocks = np.asarray(binary_opening(mixed, np.ones((2, 2))), bool)
         no_edge = blocks & (maximum_filter(shown, 3) < _OPEN_PIXEL)
-        texture |= blocks & maximum_filter(no_edge, 3)
+        # a single pixel is a corner
+        strips = [binary_opening(no_edge, np.ones(shape)) for shape in ((1, 3), (3, 1))]
+        texture |= blocks & maximum_filter(np.any(strips, axis=0), 3)
     edge = _enlarged((maximum_filter(shown, size) > 0.0) & ~texture, factor)
     own = _enlarged(maps, factor)
     drawn = np.zeros(own.shape[1:], np.float32)
