@@ -343,7 +343,9 @@ def test_a_comma_in_the_city_moves_no_coordinate(tmp_path: Path, city: str) -> N
 
 @pytest.mark.slow
 @pytest.mark.contract
-@pytest.mark.parametrize(("site", "minutes"), [(NORTH, 0), (EAST, 60)], ids=["north", "east"])
+@pytest.mark.parametrize(
+    ("site", "minutes"), [(NORTH, 0), (WEST, 0), (EAST, 60)], ids=["north", "west", "east"]
+)
 def test_values_of_another_moment_of_the_hour_are_refused_with_the_right_shift(
     tmp_path: Path, site: Site, minutes: int
 ) -> None:
@@ -387,7 +389,7 @@ def is_summer_time(t: datetime) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.contract
-@pytest.mark.parametrize(("site", "shift"), [(NORTH, 0), (WEST, -30)])
+@pytest.mark.parametrize(("site", "shift"), [(NORTH, 0), (NORTH, -30), (WEST, -30), (WEST, -60)])
 def test_a_clock_of_summer_time_is_named_and_no_shift_is_offered(
     tmp_path: Path, site: Site, shift: int
 ) -> None:

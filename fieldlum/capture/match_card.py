@@ -191,8 +191,8 @@ def find_offset(
     """Return the camera's clock minus UTC, fitted to the plan.
 
     groups: the card's brackets; slots: of the plan; expected_s: likely offsets, most likely first:
-    the first that fits is used if several offsets
-    fit equally well. Return None if no offset fits, or if several fit and none of them is expected.
+    the first that fits is used if several offsets fit equally well. Return None if no offset fits,
+    or if several fit and none of them is expected.
     """
     among = fitting_offsets(groups, slots)
     if len(among) == 1:
