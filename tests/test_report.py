@@ -290,7 +290,7 @@ def test_the_page_for_an_assessor_has_requirements_evidence_and_what_is_missing(
         "signature",
         "Nothing on this page is",
         "held-out map",
-        "of 10 directions have less",
+        "of 10 directions exceed it in at most 5 % of the hours",
         "as it reported itself",
         "Skies of the weather file",
     ):

@@ -39,8 +39,11 @@ def _requirements(annual: Annual, zone: str, texts: Sequence[Mapping[str, str]])
     sdg = f"{yes} of {len(answers)} directions are disturbed, {unknown} cannot be decided"
     limit, ends = dict(CLASSES)["minimum"], [(row.low, row.high) for row in directions]
     low, high = np.array(ends, float).reshape(-1, 2).T  # NaN where unknown
-    met = f"{(high <= limit).sum()} of {len(directions)} directions have less"
-    leed = f"{met}, {(low > limit).sum()} have more, the others cannot be decided"
+    met, exceeded = int((high <= limit).sum()), int((low > limit).sum())
+    leed = (
+        f"{met} of {len(directions)} directions exceed it in at most 5 % of the hours, "
+        f"{exceeded} in more, {len(directions) - met - exceeded} cannot be decided"
+    )
     edi = well = "cannot tell: no melanopic colour was measured"
     if sections.has_melanopic(annual):
         pairs = zip(sections.melanopic_shares(annual, zone), annual.judged, strict=True)
