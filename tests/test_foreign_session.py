@@ -16,7 +16,6 @@ import tempfile
 import zlib
 from collections.abc import Callable
 from contextlib import closing, suppress
-from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -25,7 +24,6 @@ import OpenEXR
 import pytest
 from click.testing import CliRunner, Result
 from outside_jpeg import GOOD, exif_segment, jpeg
-from places import SEATTLE
 from tiny_field import T0, Field, make_session
 
 from fieldlum.calibrate.fit_charts import grey_picture
@@ -34,11 +32,9 @@ from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.files import encode_line
 from fieldlum.core.records import (
-    CameraSetup,
     Exposure,
     IrradianceSample,
     Room,
-    SiteFile,
     parse_utc,
     slot_id,
 )
@@ -52,7 +48,6 @@ from fieldlum.optics.raw import opened, read_jpeg
 from fieldlum.optics.raw.exif import tags_of
 from fieldlum.report.export_and_pack import Statement, pack
 from fieldlum.room.fit.scene_file import read_scene
-from fieldlum.room.scene.embedded_commands import what_runs
 from fieldlum.session import (
     Journal,
     Session,
@@ -246,12 +241,12 @@ def test_commands_of_a_room_do_not_run(tmp_path: Path, text: str) -> None:
     proof, nested, room = (tmp_path / name for name in ("ran", "nested.rad", "room.rad"))
     nested.write_text(f"!touch {proof}\n")
     room.write_text(text.format(proof=proof, nested=nested, inert=INERT))
-    with pytest.raises(InputError, match=r"permit it with: fieldlum permit .*room\.rad"):
+    with pytest.raises(InputError, match=r"runs the command: .*; expected .* mere geometry"):
         traced(room)
     assert not proof.exists()
 
 
-def test_an_octree_and_a_scene_that_loads_one_need_a_permission(tmp_path: Path) -> None:
+def test_an_octree_and_a_scene_that_loads_one_are_refused(tmp_path: Path) -> None:
     """An octree that is not frozen names its scenes, and one of them can be a command."""
     import pyradiance
 
@@ -264,62 +259,14 @@ def test_an_octree_and_a_scene_that_loads_one_need_a_permission(tmp_path: Path) 
     instance = tmp_path / "b.rad"
     instance.write_text(f"void instance a\n1 {octree}\n0\n0\n")
     for room in (octree, instance):
-        with pytest.raises(InputError, match="fieldlum permit"):
+        with pytest.raises(InputError, match=r"(could run|runs the) command"):
             traced(room)
     assert not proof.exists()
 
 
-def test_a_room_without_commands_needs_no_permission(tmp_path: Path) -> None:
+def test_a_room_without_commands_is_traced(tmp_path: Path) -> None:
     (tmp_path / "room.rad").write_text(INERT)
     assert traced(tmp_path / "room.rad").shape == (1, 8, 16)
-
-
-def test_a_permitted_room_asks_again_after_an_edit_of_a_nested_file(tmp_path: Path) -> None:
-    from fieldlum.room.scene.embedded_commands import what_runs
-
-    nested, room = tmp_path / "nested.rad", tmp_path / "room.rad"
-    nested.write_text(INERT)
-    room.write_text(f"!cat {nested}\n")
-    wanted = what_runs(room)
-    assert wanted is not None
-    permit(wanted)
-    traced(room)
-    nested.write_text(f"{INERT}\n!touch {tmp_path / 'ran'}\n")
-    with pytest.raises(InputError, match="fieldlum permit"):
-        traced(room)
-    assert not (tmp_path / "ran").exists()
-
-
-@pytest.mark.slow
-def test_the_command_permit_shows_what_a_room_runs(tmp_path: Path) -> None:
-    room = tmp_path / "room.rad"
-    room.write_text(f"{INERT}!touch {tmp_path / 'ran'}\n")
-    result = run_cli("permit", room)
-    assert result.exit_code == 0 and f"runs: touch {tmp_path / 'ran'}" in result.stdout
-    assert not (tmp_path / "ran").exists()
-    traced(room)
-    assert (tmp_path / "ran").exists()
-
-
-@pytest.mark.slow
-def test_a_person_who_plans_with_a_room_file_pairs_it_later_without_a_question(
-    tmp_path: Path,
-) -> None:
-    from fieldlum.session.site_toml import site_table
-
-    room = tmp_path / "room.rad"
-    (tmp_path / "ball.rad").write_text(INERT)
-    room.write_text(f"!cat {tmp_path / 'ball.rad'}\n")
-    site = tmp_path / "site.toml"
-    import tomli_w
-
-    setup = SiteFile(SEATTLE, CameraSetup(), room_of(room))
-    site.write_text(tomli_w.dumps(site_table(setup)), encoding="utf-8")
-    result = run_cli("plan", site, "--set", "4-day", "--out", tmp_path / "s")
-    assert result.exit_code == 0, result.stderr
-    assert "permitted, as you plan with it" in result.stderr
-    traced(room)
-    assert replace(setup).room == Session(tmp_path / "s").site_file().room
 
 
 @pytest.mark.parametrize(
@@ -351,7 +298,6 @@ READERS = [
     lambda path: read_object(path, "", ""),
     lambda path: read_text(path, ""),
     lambda path: LineTail(path).update()._offset,  # 0: nothing was read
-    what_runs,
 ]
 
 

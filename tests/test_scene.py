@@ -324,9 +324,3 @@ def test_a_broken_radiance_file_is_named(tmp_path: Path) -> None:
     room = Room(kind="radiance", file=str(path), viewpoint_m=(1.0, 1.0, 1.0))
     with pytest.raises(InputError, match=r"bad\.rad"):
         scene.sun_patches(room, [[0, -0.7, 0.7]], 1.0, height=8, heading_deg=180.0)
-    octree = tmp_path / "bad.oct"
-    octree.write_bytes(path.read_bytes())
-    with pytest.raises(InputError, match=r"bad\.oct: no header of a Radiance octree"):
-        scene.sun_patches(
-            replace(room, file=str(octree)), [[0, -0.7, 0.7]], 1.0, height=8, heading_deg=180.0
-        )

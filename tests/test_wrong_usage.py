@@ -235,7 +235,7 @@ CASES = [
         "nanx6",
         2,
     ),
-    ("permit @/good.exr", "an OpenEXR picture; expected a Radiance room file", 3),
+    ("permit @/good.exr", "no link; expected a link in a session", 3),
     ("demo @/session", "a session of another site; expected a new folder", 3),
     ("plan @/low.toml --set 9-day --out @/s1", "height_m = '-2'.*number > 0", 3),
     ("pack @/session @/o.zip", "--title", 2),

@@ -132,10 +132,10 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
     return tuple(stored.get(name, "") if uri is None else uri for name, uri in uris.items())
 
 
-def permit_named(what: Path | str, wanted: Subject | None) -> None:
+def permit_named(what: str, wanted: Subject | None) -> None:
     """Permit what the user named, for later commands; a note tells if that cannot be stored.
 
-    what: a device's URI or a room file. wanted: what to permit, None for nothing.
+    what: a device's URI. wanted: what to permit, None for nothing.
     """
     from fieldlum.cli.terminal import say
     from fieldlum.session.permits import permit

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH
-from fieldlum.cli.options import CaptureSet, Year, calendar_day, command_of, permit_named
-
-if TYPE_CHECKING:
-    from fieldlum.core.records import SiteFile
+from fieldlum.cli.options import CaptureSet, Year, calendar_day, command_of
 
 
 @command_of("plan")
@@ -89,7 +86,6 @@ def command(
         sentences = makeup.sentences(answer)
     else:
         assert out is not None and set_ is not None
-        _permit_room(setup)
         today = plan.today_at(site, now)
         asked = plan.Request(set_, today, start=day, year=year, days=days, count=count)
         with terminal.progress("choosing hours"):
@@ -102,16 +98,3 @@ def command(
     plan.write_calendar(session, now)
     plan.write_sheets(session, weather, on_sheet)
     terminal.print_answer(as_json, answer, sentences)
-
-
-def _permit_room(setup: SiteFile) -> None:
-    """Permit the room file of a SITE.toml that the user named, with a note of what it could run."""
-    from fieldlum.room.scene.embedded_commands import described, what_runs
-
-    if setup.room is None or setup.room.kind == "box":
-        return
-    path = Path(setup.room.file)
-    if (wanted := what_runs(path)) is None:
-        return
-    terminal.say(f"note: {path} is {described(path)}; permitted, as you plan with it")
-    permit_named(path, wanted)

@@ -30,7 +30,7 @@ class _PermitsFile(JsonFile, frozen=True):
 class Subject:
     """Something that needs a permission.
 
-    kind: device, room or link; name: for people; digest: of everything that decides what happens,
+    kind: device or link; name: for people; digest: of everything that decides what happens,
     so that another content asks again.
     """
 
@@ -39,15 +39,14 @@ class Subject:
     digest: str
 
 
-def subject(kind: str, name: str, *parts: str | bytes) -> Subject:
+def subject(kind: str, name: str, *parts: str) -> Subject:
     """Return a subject whose digest covers its kind and `parts`.
 
     kind: what could happen, such as a program that runs; name: as the user reads it.
     """
     total = hashlib.sha256(kind.encode())
     for part in parts:
-        data = part.encode("utf-8", "surrogateescape") if isinstance(part, str) else part
-        total.update(hashlib.sha256(data).digest())
+        total.update(hashlib.sha256(part.encode("utf-8", "surrogateescape")).digest())
     return Subject(kind, name, total.hexdigest())
 
 

@@ -1,5 +1,6 @@
-"""Write box rooms as Radiance text, and trace rooms of .rad or .oct files by rtrace."""
+"""Write box rooms as Radiance text, and trace rooms of .rad files by rtrace."""
 
+import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -10,20 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32
-from fieldlum.core.errors import InputError
-from fieldlum.core.files import open_to_read
+from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y
-from fieldlum.room.scene.embedded_commands import require_permitted
 from fieldlum.room.scene.geometry import BoxScene, transmissivity, upright
 from fieldlum.room.scene.trace import SUN_RADIUS_DEG
 from fieldlum.room.scene.view import patch_rays, pixel_rays
 
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
-# As oconv writes it after its command lines; the octree's own data follow.
-_OCTREE_FORMAT = b"FORMAT=Radiance_octree"
-_HEADER_BYTES = 1 << 16  # chosen: long command lines of oconv have some thousand
+# Radiance runs every line of a scene that begins with an exclamation mark, also in the scenes of
+# octrees and meshes that it loads (readobj.c, readoct.c).
+_COULD_RUN = re.compile(rb"!(.{,80})|\b(?:instance|mesh)\b|FORMAT=Radiance_octree")
 # Direct light only, with all sources tested, and at most four reflections or transmissions.
 _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 
@@ -91,7 +91,7 @@ def octree(*texts: str, base: Path | None = None) -> Iterator[Path]:
 
     with tempfile.TemporaryDirectory(prefix="fieldlum-") as folder:
         rad, oct_ = Path(folder) / "scene.rad", Path(folder) / "scene.oct"
-        rad.write_text("\n".join(texts), encoding="ascii")
+        rad.write_text("\n".join(texts), encoding="latin-1")
         oct_.write_bytes(pyradiance.oconv(rad, octree=base, warning=False))
         yield oct_
 
@@ -116,42 +116,31 @@ def trace(
 # rooms from files
 
 
-def _require_octree(path: Path) -> None:
-    """Raise InputError if a file does not begin with the header of a Radiance octree."""
-    with open_to_read(path) as file:
-        header = file.read(_HEADER_BYTES)
-    if _OCTREE_FORMAT not in header:
-        finding, expected = "no header of a Radiance octree", "an octree, as oconv writes it"
-        raise InputError(path, finding, expected, f"write it again: oconv ROOM.rad > {path}")
+def _geometry(path: Path) -> str:
+    """Return a room file's text. Raises InputError if it could run something, as no data may."""
+    data = read_bytes(path)
+    if found := _COULD_RUN.search(data):
+        what = "a scene that loads another one, which could run commands"
+        if found[1] is not None:
+            what = f"a scene that runs the command: {found[1].decode('ascii', 'replace').strip()}"
+        remedy = "write it flat, and without ! in comments: xform -e ROOM.rad > FLAT.rad"
+        raise InputError(path, what, "a .rad file of mere geometry", remedy)
+    return data.decode("latin-1")
 
 
 @contextmanager
 def _room_octree(room: Room) -> Iterator[Path]:
     """Yield the room's file as an octree.
 
-    Raises InputError if it is missing or invalid, or could run something without a permission.
+    Raises InputError if it is missing or invalid, or could run something.
     """
-    import pyradiance
-
     path = Path(room.file)
     if not path.is_file():
         remedy = "correct the key file in [room]"
-        raise InputError(path, "no such file", "a Radiance .rad or .oct file of the room", remedy)
-    if path.suffix.lower() == ".oct":
-        _require_octree(path)
-    require_permitted(path)
-    if path.suffix.lower() == ".oct":
-        yield path.resolve()  # oconv would run a relative name that begins with an exclamation mark
-        return
-    with tempfile.TemporaryDirectory(prefix="fieldlum-") as folder:
-        out = Path(folder) / "room.oct"
-        try:
-            out.write_bytes(pyradiance.oconv(path.resolve(), warning=False, frozen=True))
-        except RuntimeError as error:
-            reason = str(error).splitlines()[-1]
-            expected, remedy = "a scene that oconv accepts", f"correct it; check with: oconv {path}"
-            raise InputError(path, reason, expected, remedy) from None
-        yield out
+        raise InputError(path, "no such file", "a Radiance .rad file of the room", remedy)
+    expected, remedy = "a scene that Radiance accepts", f"correct it; check with: oconv {path}"
+    with input_errors(path, expected, remedy, RuntimeError), octree(_geometry(path)) as tree:
+        yield tree
 
 
 def _viewpoint(room: Room) -> Floats:
@@ -169,8 +158,8 @@ def traced(
     suns : [n, 3] unit vectors in world axes (x east, y north); normal_lx : [n], lx on a plane
     normal to the sun. height : rows H of the panoramas, W = 2H; heading_deg : azimuth of their
     centre, clockwise from true north. Pixels have the rays of `patch_rays`. Raises InputError for a
-    room file that is missing, invalid, or could run something without a permission, and for a
-    viewpoint_m without three numbers.
+    room file that is missing, invalid, or could run something, and for a viewpoint_m without three
+    numbers.
     """
     eye = _viewpoint(room)
     pixel, rays = pixel_rays(height, heading_deg, patch_rays(height))
