@@ -1,4 +1,4 @@
-"""Benchmarks: tables, charts, wrong inputs, and what counts as flagged."""
+"""Benchmarks: tables, charts, stress, and what counts as flagged."""
 
 import csv
 import json
@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import wrong_inputs
 from click.testing import CliRunner
 from json_answers import KEPT, keys_of
 from learning_room import dataset, write_pairs
 
-from fieldlum.bench import markdown, pareto
-from fieldlum.bench.score_rows import BenchData, parse_specs, without_training_hours
+from fieldlum.bench import markdown, pareto, stress
+from fieldlum.bench.score_rows import parse_specs, without_training_hours
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.learn import models
@@ -86,17 +85,27 @@ def test_hours_of_a_kept_model_are_never_asked(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.contract
-def test_wrong_inputs_without_a_test_ask_held_out_days() -> None:
+def test_stress_without_a_test_asks_held_out_days(tmp_path: Path) -> None:
     """The nearest hour of a training hour is itself, so an error of nothing would mean
     that it was asked.
     """
-    specs = parse_specs(["nearest"])
-    train, test = wrong_inputs.tested(BenchData(DATA, None, specs))
-    normal = wrong_inputs.run(specs[0], train, test)[0]
-    assert normal["n_train"] + normal["n_test"] == len(DATA)
-    assert normal["log10_mse_weighted"] > 1e-5
-    with pytest.raises(NotEnoughDataError):
-        wrong_inputs.tested(BenchData(DATA.take([0]), None, specs))
+    write_pairs(tmp_path, DATA)
+    options = [
+        "--models",
+        "nearest",
+        "--render",
+        "0",
+        "--stress",
+        "--out",
+        str(tmp_path / "out"),
+        "--json",
+    ]
+    result = CliRunner().invoke(main, ["bench", str(tmp_path / "pairs.csv"), *options])
+    assert result.exit_code == 0, result.output
+    with (tmp_path / "out/stress.csv").open() as file:
+        normal = next(csv.DictReader(file))
+    assert int(normal["n_train"]) + int(normal["n_test"]) == len(DATA)
+    assert float(normal["log10_mse_weighted"]) > 1e-5
 
 
 @pytest.mark.slow
@@ -116,9 +125,9 @@ def test_markdown_leaves_empty_columns_out() -> None:
 
 @pytest.mark.slow
 @pytest.mark.contract
-def test_rows_of_wrong_inputs_stand_beside_their_normal_case() -> None:
+def test_stress_rows_stand_beside_their_normal_case() -> None:
     spec = parse_specs(["nearest"])[0]
-    rows = wrong_inputs.run(spec, DATA, TEST)
+    rows = stress.run(spec, DATA, TEST)
     by_name = {row["regime"]: row for row in rows}
     assert by_name["normal"]["times_normal"] == 1.0
     mixed = "mixed sky: DNI off by 30 %, global kept"
@@ -134,7 +143,7 @@ def test_transport_does_not_fail_unseen_in_any_regime() -> None:
     """No wild map may pass that the model trusted and expected to be good, whatever was done to
     the captures.
     """
-    rows = wrong_inputs.run(parse_specs(["transport"])[0], DATA, TEST)
+    rows = stress.run(parse_specs(["transport"])[0], DATA, TEST)
     assert all(np.isfinite(row["log10_mse_weighted"]) for row in rows)
     assert [row["regime"] for row in rows if row["gross_unflagged"]] == []
 
@@ -145,11 +154,11 @@ def test_a_turned_north_turns_the_sun_and_a_late_clock_moves_it_on() -> None:
     """15 minutes are 3.75 degrees of hour angle; near the equinox noon that is over 4
     degrees of azimuth.
     """
-    turned = wrong_inputs.wrong_north(TEST, 2.0)
+    turned = stress.wrong_north(TEST, 2.0)
     np.testing.assert_allclose(
         (turned.light.sun_azimuth_deg - TEST.light.sun_azimuth_deg) % 360.0, 2.0, atol=1e-9
     )
-    late = wrong_inputs.late_clock(TEST, 15.0)
+    late = stress.late_clock(TEST, 15.0)
     moved = (late.light.sun_azimuth_deg - TEST.light.sun_azimuth_deg) % 360.0
     assert (moved > 1.5).all() and (moved < 12.0).all()
 
@@ -159,7 +168,7 @@ def test_a_turned_north_turns_the_sun_and_a_late_clock_moves_it_on() -> None:
 def test_irradiance_changes_keep_what_they_say_they_keep() -> None:
     light = DATA.light
     rise = np.sin(np.radians(light.sun_altitude_deg))
-    for changed in (wrong_inputs.disagreeing(DATA, 0.3, 1), wrong_inputs.from_global(DATA)):
+    for changed in (stress.disagreeing(DATA, 0.3, 1), stress.from_global(DATA)):
         total = changed.light.dni_wm2 * rise + changed.light.dhi_wm2
         np.testing.assert_allclose(total, light.dni_wm2 * rise + light.dhi_wm2, rtol=0.02, atol=2.0)
         assert np.abs(changed.light.dni_wm2 - light.dni_wm2).max() > 20.0

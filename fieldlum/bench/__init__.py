@@ -1,4 +1,4 @@
-"""Benchmark models on any pairs: speed and accuracy."""
+"""Benchmark models on any pairs: speed, accuracy, disturbances."""
 
 import os
 import platform
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fieldlum.bench import stress
 from fieldlum.bench.score_rows import BenchData, radiance_row, score_row
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.plot_style import GRID, new_figure, open_axes
@@ -70,14 +71,15 @@ def run(
     loaded: BenchData,
     *,
     budget_min: float = 5.0,
+    with_stress: bool = False,
     render_hours: int = 1,
     out: Path,
 ) -> JsonTable:
     """Score all models, write tables and a chart into `out`; return what `bench --json` prints.
 
     Keys: models: rows of `score_row` and `radiance_row`; chosen, reason: as in `ModelSelection`.
-    Files: bench.md, scores.csv and scores.png. budget_min: minutes of training for the dense
-    network; render_hours: hours for which Radiance is timed.
+    Files: bench.md, scores.csv and scores.png; with `with_stress` stress.csv too. budget_min:
+    minutes of training for the dense network; render_hours: hours for which Radiance is timed.
     """
     data, test = loaded.data, loaded.test
     rows: list[Mapping[str, object]] = []
@@ -91,11 +93,28 @@ def run(
     rendering = radiance_row(data if test is None else test, render_hours)
     rows += [] if rendering is None else [rendering]
     store(out, "scores", rows, lambda path: speed_accuracy(path, rows, machine()))
+    parts = [f"## Scores\n\n{markdown(rows)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
+    if with_stress:
+        cells = _stress(loaded)
+        write_csv(out / "stress.csv", cells)
+        parts.append(f"## Stress\n\n{markdown(cells)}")
     hours = f"{len(test)} hours of {test.source}" if test else "held-out days"
     head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"
-    table = f"{markdown(rows)}\nChosen: {chosen.name}. {chosen.reason}."
-    write_file(out / "bench.md", f"{head}; test: {hours}.\n\n{table}\n")
+    write_file(out / "bench.md", f"{head}; test: {hours}.\n\n" + "\n".join(parts))
     return {"models": rows, "chosen": chosen.name, "reason": chosen.reason}
+
+
+def _stress(loaded: BenchData) -> list[JsonTable]:
+    """Run the stress tests of the first transport model, else of the first model."""
+    specs, data, test = loaded.specs, loaded.data, loaded.test
+    spec = next((spec for spec in specs if spec.name == "transport"), specs[0])
+    if test is None:
+        folds = day_folds(data)
+        if not folds:
+            count = counted(len(data), "usable hour")
+            raise NotEnoughDataError(f"{data.source}: {count}; expected 2; capture more hours")
+        data, test = data.take(~folds[0]), data.take(folds[0])
+    return stress.run(spec, data, test)
 
 
 # ----------------------------------------------------------------------------------------------

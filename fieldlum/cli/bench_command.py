@@ -18,6 +18,7 @@ def command(
     site: Path | None = None,
     models: str = ",".join(MODELS),
     budget: Above0 = 5.0,
+    stress: bool = False,
     render: Annotated[int, click.IntRange(min=0)] = 1,
     scene: str = "",
     sky_view: Path | None = None,
@@ -25,20 +26,21 @@ def command(
 ) -> None:
     """Chart speed against accuracy of the models.
 
-    Writes bench.md, scores.csv and scores.png. The fitted scene of PAIRS is used for --test too.
-    Without a scene, sun patches that a csv lacks are computed from the [room]; with few clear
-    hours, PAIRS decide first whether the [room] is used, as in train.
+    Writes bench.md, scores.csv and scores.png; with --stress also stress.csv. The fitted scene of
+    PAIRS is used for --test too. Without a scene, sun patches that a csv lacks are computed from
+    the [room]; with few clear hours, PAIRS decide first whether the [room] is used, as in train.
 
     \b
     Example:
       fieldlum bench 9d.csv --test test.csv --models transport,transport:none,dense --out bench-9d
-      fieldlum bench my-session --out bench
+      fieldlum bench my-session --stress --out bench
 
     Options:
       --test: Pairs to test on. [default: held-out days]
       --models: Models to compare, separated by commas: names, NAME:none or NAME:gain (use
           of sun patches), or folders of trained models.
       --budget: Minutes of training for the dense network.
+      --stress: Also test conditions in which methods fail.
       --render: Number of hours to render with Radiance, to compare the cost; needs a
           [room].
       --out: Folder of tables and charts to write.
@@ -52,6 +54,6 @@ def command(
     for note in loaded.data.notes:
         say(note)
     with progress("benchmark"):
-        answer = run(loaded, out=out, budget_min=budget, render_hours=render)
+        answer = run(loaded, out=out, budget_min=budget, with_stress=stress, render_hours=render)
     print_answer(as_json, answer, [(out / "bench.md").read_text(encoding="utf-8")])
     say(f"tables and charts in {out}")

@@ -1,8 +1,4 @@
-"""Train a model on wrong inputs: its error over a normal case, and whether the tool reports it.
-
-    python bench/wrong_inputs.py PAIRS.csv|SESSION OUT.csv [--test TEST.csv] [--model transport]
-
-Prints the table, and writes it as csv. Without --test the first fold of held-out days is asked.
+"""Test conditions in which methods fail: error over a normal case, and whether the tool reports it.
 
 A condition changes the training data, the test data, or both, relative to its own normal case.
 "Reported" means one of three: the training warned (`learn.train.held_out_warnings`,
@@ -14,29 +10,22 @@ as unflagged if the training did not warn, the hour is trusted, and less than a 
 was expected.
 """
 
-from __future__ import annotations
-
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import timedelta
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.bench import markdown
-from fieldlum.bench.score_rows import BenchData, Spec, load
+from fieldlum.bench.score_rows import Spec
 from fieldlum.core.arrays import Floats
-from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable
 from fieldlum.learn.models.scores import Scores, evaluate, truth
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.learn.train import day_folds, fit_timed, held_out_warnings, patch_mode
+from fieldlum.learn.train import fit_timed, held_out_warnings, patch_mode
 from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.fit.misplaced_patches import misplacement_of, with_misplacement
-from fieldlum.session.codec import write_csv
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
 
@@ -280,36 +269,3 @@ def _row(scores: Scores, warned: bool) -> JsonTable:
         "gross": int(gross.sum()),
         "gross_unflagged": int((gross & ~feared).sum()),
     }
-
-
-def tested(loaded: BenchData) -> tuple[Dataset, Dataset]:
-    """Return hours to train on and to test on; the latter are held-out days without a test.
-
-    Raises NotEnoughDataError for a single day.
-    """
-    data, test = loaded.data, loaded.test
-    if test is not None:
-        return data, test
-    folds = day_folds(data)
-    if not folds:
-        raise NotEnoughDataError(f"{data.source}: hours of one day; expected two days or more")
-    return data.take(~folds[0]), data.take(folds[0])
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("pairs", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--test", type=Path)
-    parser.add_argument("--model", default="transport")
-    asked = parser.parse_args()
-    loaded = load(asked.pairs, [asked.model], test=asked.test)
-    rows = run(loaded.specs[0], *tested(loaded))
-    write_csv(asked.out, rows)
-    print(markdown(rows))
-
-
-if __name__ == "__main__":
-    main()
