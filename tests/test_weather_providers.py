@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import pvlib
 import pytest
 from places import SEATTLE
 
@@ -138,6 +139,16 @@ def test_nsrdb_and_solaranywhere_give_the_same_hours(tmp_path: Path) -> None:
         found = weather.read_weather(tmp_path / name, SEATTLE)
         assert found.t_utc[:2] == year.t_utc[:2], name
         np.testing.assert_allclose(found.dni_wm2, year.dni_wm2, atol=0.01, err_msg=name)
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+def test_the_tmy2_file_of_pvlib_is_read() -> None:
+    """Miami's TMY2 file, which pvlib ships: 8760 hours, centred on hh:30."""
+    path = Path(pvlib.__file__).parent / "data" / "12839.tm2"
+    found = weather.read_weather(path, Site("Miami", 25.8, -80.27, "America/New_York"))
+    assert len(found) == 8760 and not found.repairs
+    assert {t.minute for t in found.t_utc} == {30}
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ def command(
       fieldlum predict office-2027/models/auto --weather seattle.epw --views 10
 
     Options:
-      --weather: EPW, TMY3, PVGIS, NSRDB, SAM, SolarAnywhere or CSV; or the word
+      --weather: EPW, TMY3, TMY2, PVGIS, NSRDB, SAM, SolarAnywhere or CSV; or the word
           synthetic, for an invented year that must not be used to judge a place.
       --out: Folder of the year to write. [default: SESSION/annual/NAME]
       --maps: Also write every map, as Zarr (about 0.7 GB for a year at 460 x 230).

@@ -44,6 +44,8 @@ _HEADINGS = {
     },
 }
 _IN_PLANE = {"dni": {"gbi"}, "dhi": {"gdi"}, "ghi": set[str]()}
+# Cells of a TMY2 row: year, month, day, hour, DNI, DHI, GHI (its manual).
+_TMY2 = ((1, 3), (3, 5), (5, 7), (7, 9), (23, 27), (29, 33), (17, 21))
 _AGAIN = "download the file again as hourly data"
 Cells = Sequence[str]
 Rows = Iterable[tuple[int, Cells]]
@@ -366,6 +368,29 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
     return _best_label(table) if is_full_hour else table
 
 
+def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
+    """Return the rows of a TMY2 file; each is the mean of the hour that ends at its label."""
+    *name, zone, ns, north, minutes, ew, east, more, altitude = ["?"] * 8 + lines[0].split()
+    expected = "number, city, state, zone, N, degrees, minutes, W, degrees, minutes, altitude"
+    with input_errors(path, expected, "download the file again", ValueError):
+        latitude = (float(north) + float(minutes) / 60) * (-1 if ns == "S" else 1)
+        longitude = (float(east) + float(more) / 60) * (-1 if ew == "W" else 1)
+    numbers = [latitude, longitude, altitude, zone]
+    place, clock = _place(path, numbers, expected, " ".join(name[9:-1]))
+    width = len(lines[1].rstrip()) if len(lines) > 1 else 0
+    for number, line in enumerate(lines[2:], start=3):
+        if (characters := len(line.rstrip())) != width:
+            found, expected = f"line {number}: {characters} characters", f"{width} characters"
+            raise InputError(path, found, f"{expected}, as in line 2", "correct that row")
+    cells = [[line[a:b].strip() for a, b in _TMY2] for line in lines[1:]]
+
+    def start(cells: Cells) -> datetime:
+        return _moment((f"19{cells[0]}", *cells[1:3]), cells[3]) - timedelta(hours=1)
+
+    rows = _rows(path, enumerate(cells, start=2), {"dni": 4, "dhi": 5, "ghi": 6}, start)
+    return WeatherTable(rows, typical=True, place=place, clock=clock, shift=_HALF)
+
+
 def _read_wea(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the rows of a .wea file of Radiance: the middles of hours, in standard time.
 
@@ -619,6 +644,7 @@ def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | Non
 # By what a format is recognised: a pattern of the file's suffix in small letters and its first two
 # lines; and its reader (CONTRIBUTING.md).
 FORMATS: tuple[tuple[str, Callable[[Path, list[str], Site], WeatherTable]], ...] = (
+    (r"\.tm2\n", _read_tmy2),
     (r"\.epw\n|.*\n(?i:LOCATION),", _read_epw),
     (r".*\nplace .*\nlatitude ", _read_wea),
     (r".*\nLatitude \(decimal degrees\)", _read_pvgis),
