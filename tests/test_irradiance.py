@@ -424,6 +424,24 @@ def test_what_most_rows_by_day_have_in_common_is_told(ghi: float, dhi: float, sa
 
 
 @pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("scale", "warned"), [(0.12, True), (0.6, True), (1.0, False), (1.3, True)]
+)
+def test_clear_hours_show_a_wrong_sensitivity_or_unit(scale: float, warned: bool) -> None:
+    """Global and diffuse in klx (0.12), or by a wrong sensitivity; also under broken clouds."""
+    times = [datetime(2027, 6, 21, 15, tzinfo=UTC) + timedelta(minutes=i) for i in range(480)]
+    sky = sun.clearsky(times, SEATTLE)
+    cloud = np.where(np.arange(480) % 3 == 0, 0.1, 1.0)  # of the beam
+    beam = scale * cloud * (sky.ghi_wm2 - sky.dhi_wm2)
+    rows = zip(times, beam, scale * sky.dhi_wm2, strict=True)
+    samples = [IrradianceSample(t, ghi_wm2=b + d, dhi_wm2=d) for t, b, d in rows]
+    series = series_of(samples)
+    altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
+    told = health(series, check(series, altitude, top), altitude, top, 0, SEATTLE).warnings
+    assert any("times that of a cloudless sky" in text for text in told) == warned
+
+
+@pytest.mark.analytic
 def test_a_night_offset_that_blanks_the_nights_is_told() -> None:
     night = datetime(2027, 6, 21, 8, tzinfo=UTC)
     series = series_of(

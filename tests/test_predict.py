@@ -5,6 +5,7 @@ input.
 from __future__ import annotations
 
 import json
+import shutil
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -426,8 +427,6 @@ def test_bad_occupancy_is_refused(tmp_path: Path, text: str, said: str) -> None:
 
 
 def _changed(model: Path, tmp_path: Path, **more: object) -> Path:
-    import shutil
-
     folder = tmp_path / "m"
     shutil.copytree(model, folder)
     config = json.loads((folder / "config.json").read_text())
@@ -514,6 +513,45 @@ def test_a_model_of_another_picture_size_is_refused(
 
 
 @pytest.mark.contract
+def test_a_model_of_earlier_pictures_is_refused_and_the_report_warns(
+    model: Path, weather: Path, tmp_path: Path
+) -> None:
+    """As of another room with the same plan, or of a session that was merged and paired again."""
+    from dataclasses import replace
+
+    from fieldlum.report.sections import warnings_of
+    from fieldlum.session import create_session
+    from fieldlum.sky.sky_view.view import CHANNELS
+    from fieldlum.year.predict import read_annual
+
+    session = create_session(tmp_path / "s", DATA.setup, [], {})
+    own = session.models / "nearest"
+    shutil.copytree(model, own)
+    grid = SkyGrid(
+        first_altitude_deg=60.0,
+        first_azimuth_deg=-60.0,
+        step_deg=2.0,
+        heading_deg=180.0,
+        height=30,
+        width=60,
+    )
+    arrays = {name: np.full((30, 60), 0.5, np.float32) for name in CHANNELS}
+    slots = list(models.read_config(own).training.slots)
+    view = SkyView(grid, **arrays, inputs={"captures": slots, "pictures": "", "others": "a"})
+    view.write(own / "sky_view.exr")
+    view.write(session.sky_view)
+    year = run(own, weather)[0]
+    earlier = "The year is of an earlier model"
+    assert earlier not in " ".join(warnings_of(session, year))
+    replace(view, inputs=view.inputs | {"others": "b"}).write(session.sky_view)
+    with pytest.raises(InputError, match="of other pictures, irradiance or times"):
+        run(own, weather)
+    assert earlier in " ".join(warnings_of(session, read_annual(year.folder)))
+    replace(view, inputs=view.inputs | {"captures": []}).write(own / "sky_view.exr")
+    run(own, weather)  # train --sky-view FILE of other captures proves nothing
+
+
+@pytest.mark.contract
 def test_a_model_with_patches_needs_a_room(model: Path, weather: Path, tmp_path: Path) -> None:
     from dataclasses import replace
 
@@ -528,7 +566,6 @@ def test_a_model_with_patches_needs_a_room(model: Path, weather: Path, tmp_path:
 def test_a_model_of_another_site_or_camera_is_refused(
     model: Path, weather: Path, tmp_path: Path
 ) -> None:
-    import shutil
     from dataclasses import replace
 
     from fieldlum.core.records import Panorama
@@ -539,6 +576,11 @@ def test_a_model_of_another_site_or_camera_is_refused(
         DATA.setup, site=replace(DATA.setup.site, latitude_deg=DATA.setup.site.latitude_deg + 1.0)
     )
     other = create_session(tmp_path / "other", setup, [], {})
+    zone = replace(DATA.setup, site=replace(DATA.setup.site, timezone="America/Denver"))
+    moved = create_session(tmp_path / "moved", zone, [], {})
+    shutil.copytree(model, moved.models / "nearest")
+    with pytest.raises(InputError, match="of the time zone"):
+        run(moved.models / "nearest", weather)
     shutil.copytree(model, other.models / "nearest")
     with pytest.raises(InputError, match="a model of"):
         run(other.models / "nearest", weather)

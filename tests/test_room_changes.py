@@ -1,11 +1,12 @@
 """Unmarked changes of the room are found, named, and cost little; clean rooms raise no alarm."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from learning_room import dataset
+from learning_room import SEATTLE, dataset, room
 from test_transport import log_mse
 
 from fieldlum.learn.models.held_out_choice import is_badly_measured
@@ -18,6 +19,7 @@ from fieldlum.learn.train.outliers import (
     without_changes,
 )
 from fieldlum.learn.transport import fit
+from fieldlum.sky.daylight import light_at
 
 DAYS = tuple(f"2027-{month}-{day}" for month in ("03", "06", "12") for day in (19, 20, 21))
 CLEAN = dataset(DAYS, height=12)
@@ -201,6 +203,23 @@ def test_the_factor_of_a_day_is_estimated(factor: float) -> None:
     process = process_of(replace(CLEAN, luminance_cdm2=maps), with_patch=True)
     found = Evidence(process, np.arange(len(CLEAN)))
     assert found.level_change(on)[1] == pytest.approx(factor, rel=0.03)
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("factor", [0.9, 1.0, 1.12])
+def test_another_level_after_the_first_season_is_told(factor: float) -> None:
+    """The window was cleaned, or the pyranometer replaced; overcast hours show it."""
+    clear = CLEAN.light
+    dni = clear.dni_wm2 * (np.arange(len(clear)) % 3 == 0)
+    maps, patch = room(light := light_at(clear.t_utc, SEATTLE, dni, clear.dhi_wm2))
+    later = np.datetime64("2027-06-01") < CLEAN.days
+    maps *= np.where(later, factor, 1.0)[:, None, None].astype(np.float32)
+    data = replace(CLEAN, light=light, luminance_cdm2=maps, patch_cdm2=patch)
+    same, notes = without_changes(data, with_patch=True)
+    assert len(same) == len(CLEAN) and len(notes) == (factor != 1.0)
+    for note in notes:
+        found = re.search(r"from 2027-06-\d\d on, pictures are ([\d.]+) times as bright", note)
+        assert found is not None and float(found[1]) == pytest.approx(factor, abs=0.04)
 
 
 @pytest.mark.contract

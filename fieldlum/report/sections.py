@@ -28,7 +28,7 @@ from fieldlum.year.glare.standards import EXCEEDED_SHARE, dgp_per_scale
 from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE, read_budgets
 from fieldlum.year.predict import Annual, melanopic
 from fieldlum.year.predict.annual import Pictures
-from fieldlum.year.predict.year import best_and_worst
+from fieldlum.year.predict.year import best_and_worst, is_current
 
 _FISHEYE_PX = 220  # of a fisheye's edge: about its size on the page
 GA_DGP, SDG_DGP = 0.40, 0.38  # honeybee's and ClimateStudio's limits
@@ -462,9 +462,9 @@ def _captures_text(session: Session, site: Site, pairs: PairsFile) -> str:
 
 
 def warnings_of(session: Session, year: Annual | None) -> list[str]:
-    """Return warnings of assumed settings, of the camera, of training, and of the weather.
+    """Return warnings of assumed settings, of the camera, of training, weather and an earlier year.
 
-    Each is a sentence. year: None without a predicted year; the last two are then missing.
+    Each is a sentence. year: None without a predicted year; the last three are then missing.
     """
     camera = session.site_file().camera
     texts = profiles.assumed_texts(camera)
@@ -476,4 +476,9 @@ def warnings_of(session: Session, year: Annual | None) -> list[str]:
         texts += [f"From training: {text.removeprefix('WARNING: ')}" for text in of_model]
         kind = "The weather is" if weather.synthetic else "Weather:"
         texts += [f"{kind} {text}" for text in weather.repairs]
+        if not is_current(session, year):
+            texts.append(
+                "The year is of an earlier model, or of other captures, irradiance or place than "
+                "the session now has: run fieldlum train and fieldlum predict again"
+            )
     return [sentence(text) for text in texts]

@@ -27,7 +27,7 @@ _SEGMENT_GAP_S = 1800.0
 _SPIKE_ROWS = 120  # rows on each side for the usual step: ten minutes at 5 s
 # rank of the usual step, so that four other spikes in the window do not hide one; chosen
 _SPIKE_RANK = 9
-_RECIPE = 11  # Increase it when the arithmetic changes: clean.csv is then computed again.
+_RECIPE = 12  # Increase it when the arithmetic changes: clean.csv is then computed again.
 
 
 # ----------------------------------------------------------------------------------------------
@@ -309,6 +309,8 @@ def derive(series: Series, altitude: Floats, site: Site) -> Series:
 # how the instrument and its logger worked, and how to correct faults
 
 NIGHT_SUN_DEG = -6.0  # end of civil twilight, by definition
+# Chosen around the 1.00 to 1.10 of `consistency.clear_sky_ratios`; haze and snow change it by 0.1.
+_CLEAR_SKY_RATIO = (0.85, 1.2)
 NIGHT_OFFSET_WARN_WM2 = 4.0  # BSRN's limit: beyond it, night values are marked as impossible
 
 
@@ -355,6 +357,8 @@ def health(
     gaps = seconds[seconds > 2.5 * local_period_s(clean.t_unix_s)[1:]]
     clock_off = clock_off_s(raw.t_unix_s, raw.ghi_wm2, site)
     counts = {mark: int(np.sum((clean.marks & mark) != 0)) for mark in Mark}
+    of_log = _of_log(offset, passed, clock_off, damaged)
+    levels = _of_level(raw, altitude, site)
     return Health(
         rows=len(clean),
         broken_lines=damaged,
@@ -366,7 +370,7 @@ def health(
         closure_pass=passed,
         clock_off_s=clock_off,
         marks={(mark.name or "").lower(): count for mark, count in counts.items() if count},
-        warnings=(*_of_log(offset, passed, clock_off, damaged), *_of_day(clean, altitude, top)),
+        warnings=(*of_log, *levels, *_of_day(clean, altitude, top)),
     )
 
 
@@ -398,6 +402,22 @@ def _of_log(
             f"skipped in irradiance/YYYY-MM-DD.csv: {counted(damaged, 'damaged line')}; check the "
             "disk, and do not edit these files"
         )
+
+
+def _of_level(raw: Series, altitude: Floats, site: Site) -> Iterator[str]:
+    """Yield a sentence for each month whose clear hours are not as bright as a cloudless sky.
+
+    altitude [n] deg: from `sky_geometry`.
+    """
+    light = (raw.t_unix_s, raw.ghi_wm2, raw.dhi_wm2)
+    low, high = _CLEAR_SKY_RATIO
+    for month, ratio in consistency.clear_sky_ratios(*light, altitude, site).items():
+        if not low < ratio < high:
+            yield (
+                f"global irradiance of clear hours in {month} is {ratio:.2f} times that of a "
+                f"cloudless sky, expected {low:g} to {high:g}: check the sensitivity of the "
+                "pyranometers, the unit (W/m2), and that they are level"
+            )
 
 
 _FAULTS = {

@@ -69,6 +69,7 @@ _NEW_YEAR = date(2027, 1, 1).toordinal()  # of a year without a leap day
 # is 13 to 79 times as bright as the median of the picture in 22 rooms of other renderers, and other
 # surfaces up to 4 times: below it the camera sees no window.
 _TOO_BRIGHT, _TOO_DARK, _WINDOW_CONTRAST = 1.4, 0.01, 8.0
+_CLEAR_GLASS = 0.3  # less is that of tinted glass: below half of EN 410's 0.7 for clear panes
 _OF_SEASON = 12  # captures of a season that decide its leaves; fewer widen the bounds; chosen
 _BRACKET_S = 300.0  # a disc's frame is within this of its capture's time; chosen
 _MAX_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
@@ -486,6 +487,8 @@ def _bounds(
 def _notes_on_level(level: float, stack: _Stack) -> list[str]:
     """Return a warning if `level`, the brightest sky over the expected one, is that of no glass.
 
+    It is a note if only dark glass has that level.
+
     Merge cuts out bright places only: its pictures (`dark`) do not show a window's contrast.
     """
     if len(stack.light) < MIN_CAPTURES:
@@ -495,7 +498,13 @@ def _notes_on_level(level: float, stack: _Stack) -> list[str]:
         usual = nan_percentiles(stack.luminance_cdm2, (50.0,))[0]
         is_window = np.nanmax(usual) > _WINDOW_CONTRAST * np.nanmedian(usual)
     if not (level > _TOO_BRIGHT or (is_window and level < _TOO_DARK)):  # NaN without sky
-        return []
+        if not _TOO_DARK < level < _CLEAR_GLASS:
+            return []
+        return [
+            f"the pictures show {level:.2g} of the sky's luminance that the measured irradiance "
+            "gives: true of tinted glass, screens, or a view without open sky; if the glass is "
+            "clear (0.6 to 0.9), check the camera's factor k and the unit of the irradiance"
+        ]
     return [
         f"WARNING: the sky in the window has {level:.2g} of the luminance that the measured "
         "irradiance gives it: check the pictures' unit (cd/m2; W/sr/m2 are 179 times less), "

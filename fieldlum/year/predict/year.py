@@ -18,10 +18,11 @@ from fieldlum.core.scheduler import LOCAL, Scheduler
 from fieldlum.learn.models import Fitted, load, read_config
 from fieldlum.optics import projection
 from fieldlum.optics.images import read_panorama
+from fieldlum.pair.sky_view import is_outdated
 from fieldlum.session import Session, check_writable, open_session, sha256
 from fieldlum.session.codec import current_note, sealed
 from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS
-from fieldlum.session.files.model_files import ModelConfig, UsedScene
+from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.predict_json import (
     DirectionYear,
     PredictFile,
@@ -89,7 +90,7 @@ def run(
     """
     config, session = read_config(model_folder), session_of(model_folder)
     room = hour_blocks.room_of(config, model_folder)
-    for found, there in () if session is None else _differences(session, room, config.scene):
+    for found, there in () if session is None else _differences(session, room, config):
         expected = f"{there}, as in this session"
         remedy = "merge, pair and train again, or use the model that was trained on this session"
         raise InputError(model_folder, f"a model {found}", expected, remedy)
@@ -308,20 +309,22 @@ def default_folder(model_folder: Path) -> Path:
 
 
 def _differences(
-    session: Session, room: ModelRoom, scene: UsedScene | None
+    session: Session, room: ModelRoom, config: ModelConfig
 ) -> Iterator[tuple[str, str]]:
     """Yield what a model states and what its session has, for each difference.
 
     The place may differ by 0.01 degrees, the heading of the first panorama by 0.1 degrees; its size
-    in pixels must be equal. scene: the fitted scene in the model's config.json, if any; then the
-    room and heading as stated before the fit are compared.
+    in pixels must be equal. With a fitted scene in the model's config.json, the room and heading as
+    stated before the fit are compared.
     """
-    setup = session.site_file()
+    setup, scene = session.site_file(), config.scene
     mine, site = room.setup.site, setup.site
     north_deg = abs(mine.latitude_deg - site.latitude_deg)
     if max(north_deg, abs(mine.longitude_deg - site.longitude_deg)) > 0.01:
         texts = [f"{s.name} ({s.latitude_deg:g}, {s.longitude_deg:g} deg)" for s in (mine, site)]
         yield f"of the site {texts[0]}", texts[1]
+    if mine.timezone != site.timezone:
+        yield f"of the time zone {mine.timezone}", site.timezone
     stated, actual = scene["stated"] if scene else site_table(room.setup), site_table(setup)
     for table in ("camera", "room"):  # both affect every map
         of_model, of_session = stated.get(table) or {}, actual.get(table) or {}
@@ -338,6 +341,36 @@ def _differences(
             yield found, f"{width} x {height} pixels"
         if abs(projection.signed_angle_deg(first.heading_deg - heading_deg)) > 0.1:
             yield f"with a heading of {heading_deg:g} deg", f"{first.heading_deg:g} deg"
+    if is_model_outdated(session, config, room.sky_view):
+        yield "of other pictures, irradiance or times", "those that were paired last"
+
+
+def is_model_outdated(session: Session, config: ModelConfig, view: SkyView | None) -> bool:
+    """Return whether a session's pictures, irradiance or times are not those of a model's training.
+
+    The inputs of both sky views decide. view: the model's; one that was computed from other
+    captures than the model (train --sky-view) proves nothing.
+    """
+    own = SkyView.find(session.sky_view)
+    if own is None or view is None or not view.inputs:
+        return False
+    of_training = set(config.training.slots) <= set(view.inputs["captures"])
+    return of_training and (own.inputs != view.inputs or is_outdated(session, view))
+
+
+def is_current(session: Session, annual: Annual) -> bool:
+    """Return whether a year's model is the present one, and is of the session as it is now.
+
+    It is True if the model is not in the session any more, so that this cannot be decided.
+    """
+    used = annual.summary.inputs
+    folder = session.models / str(used["model"])
+    if not (folder / "config.json").is_file():
+        return True
+    config = read_config(folder)
+    room = hour_blocks.room_of(config, folder)
+    same = used.get("model_sha256") in (None, sha256(folder / "config.json"))
+    return same and not any(_differences(session, room, config))
 
 
 def _files(model: Path, weather: Path, sky_view: Path | None) -> dict[str, object]:
