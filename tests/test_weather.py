@@ -352,6 +352,15 @@ def test_columns_and_units_that_cannot_be_are_refused(tmp_path, change, expected
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 
 
+@pytest.mark.contract
+def test_clear_hours_show_another_unit(tmp_path) -> None:
+    """Wh/m2 of half an hour, for example: ratios of the columns are right."""
+    year = weather.shipped_seattle()
+    _write_dated(tmp_path / "w.csv", year, dni=0.5 * year.dni_wm2, dhi=0.5 * year.dhi_wm2)
+    repairs = weather.read_weather(tmp_path / "w.csv", SEATTLE).repairs
+    assert any("clear hours is 0.52 times that of a cloudless sky" in text for text in repairs)
+
+
 @pytest.mark.slow
 @pytest.mark.contract
 def test_global_for_direct_is_refused_under_bright_clouds(tmp_path) -> None:

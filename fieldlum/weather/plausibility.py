@@ -148,6 +148,8 @@ def check_plausible(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) 
     if wrong is not None:
         raise _shift_error(path, f"{text} only", rounded, "times at the middle of their hours")
     notes = [f"WARNING: {doubt}; check that the file is of this place"] if doubt else []
+    if level := sun.wrong_level(weather.t_utc, total, weather.dhi_wm2, altitude, place):
+        notes.append(f"WARNING: {level}: check the file's unit (W/m2)")
     if is_moved:
         text += f" if all row times are moved by {shift:+.0f} min"
         notes.append(f"{text}: {_LABELS} (--label-shift {rounded:+d})")

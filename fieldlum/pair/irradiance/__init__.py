@@ -309,8 +309,6 @@ def derive(series: Series, altitude: Floats, site: Site) -> Series:
 # how the instrument and its logger worked, and how to correct faults
 
 NIGHT_SUN_DEG = -6.0  # end of civil twilight, by definition
-# Chosen around the 1.00 to 1.10 of `consistency.clear_sky_ratios`; haze and snow change it by 0.1.
-_CLEAR_SKY_RATIO = (0.85, 1.2)
 NIGHT_OFFSET_WARN_WM2 = 4.0  # BSRN's limit: beyond it, night values are marked as impossible
 
 
@@ -409,15 +407,14 @@ def _of_level(raw: Series, altitude: Floats, site: Site) -> Iterator[str]:
 
     altitude [n] deg: from `sky_geometry`.
     """
-    light = (raw.t_unix_s, raw.ghi_wm2, raw.dhi_wm2)
-    low, high = _CLEAR_SKY_RATIO
-    for month, ratio in consistency.clear_sky_ratios(*light, altitude, site).items():
-        if not low < ratio < high:
-            yield (
-                f"global irradiance of clear hours in {month} is {ratio:.2f} times that of a "
-                f"cloudless sky, expected {low:g} to {high:g}: check the sensitivity of the "
-                "pyranometers, the unit (W/m2), and that they are level"
-            )
+    times = [datetime.fromtimestamp(t, UTC) for t in raw.t_unix_s]
+    months = np.array([f"{t:%Y-%m}" for t in times])
+    for month in np.unique(months).tolist():
+        rows = np.flatnonzero(months == month)
+        light = (raw.ghi_wm2[rows], raw.dhi_wm2[rows], altitude[rows])
+        wrong = sun.wrong_level([times[row] for row in rows], *light, site)
+        if wrong:
+            yield f"in {month} {wrong}: check the pyranometers' sensitivity, level and unit"
 
 
 _FAULTS = {

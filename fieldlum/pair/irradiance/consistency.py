@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Mask, evenly_spread
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.records import Site
 from fieldlum.sky import sun
 
@@ -93,29 +93,6 @@ def shaded_horizon(
         if share[rows[mine]].max() < 0.05 and len(np.unique(days[mine & is_near])) >= 4:
             out[rows[mine]] = True
     return out
-
-
-def clear_sky_ratios(
-    t_unix_s: Floats, ghi: Floats, dhi: Floats, altitude: Floats, site: Site
-) -> dict[str, float]:
-    """Return global irradiance over that of a cloudless sky, the median of each month (2027-03).
-
-    Only clear rows count, with diffuse under a fifth of global; a month with under ten has no
-    value. It is 1.00 to 1.10 at a station, in three months, and in simulated logs: another ratio
-    shows a wrong sensitivity, unit or calibration, which no ratio of the components shows.
-    t_unix_s, ghi, dhi [W/m2], altitude (true) [deg]: of the rows [n].
-    """
-    with np.errstate(invalid="ignore"):
-        clear = np.flatnonzero((dhi < 0.2 * ghi) & (ghi > _MIN_WM2) & (altitude > 15.0))
-    months = np.array([f"{datetime.fromtimestamp(t, UTC):%Y-%m}" for t in t_unix_s[clear]])
-    ratios: dict[str, float] = {}
-    for month in np.unique(months).tolist():
-        rows = clear[months == month]
-        if len(rows) >= 10:
-            rows = rows[evenly_spread(len(rows), 500)]
-            cloudless = sun.clearsky([datetime.fromtimestamp(t, UTC) for t in t_unix_s[rows]], site)
-            ratios[month] = float(np.median(ghi[rows] / cloudless.ghi_wm2))
-    return ratios
 
 
 def clear_sky(t_unix_s: Floats, site: Site) -> tuple[Floats, Floats]:
