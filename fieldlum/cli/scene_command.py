@@ -62,16 +62,16 @@ def fit(
 def answer_of(scene: Scene) -> JsonTable:
     """Return the object that `scene fit --json` prints.
 
-    The names of `Scene`: north_deg, clock_min, u, chosen, verdict, trusted, expected_log10_mse,
-    trusted_share, hours, notes. misfit_before, misfit_after, misfit_none: of the stated room, the
+    The names of `Scene`: north_deg, clock_min, u, chosen, verdict, trusted, hours,
+    notes. misfit_before, misfit_after, misfit_none: of the stated room, the
     fitted room and no patch; camera_m: x, y, z; window: wall, left_m, width_m, sill_m, height_m.
     """
     room = scene.room
     names = ("wall", "left_m", "width_m", "sill_m", "height_m")
-    same = ("north_deg", "clock_min", "u", "chosen", "verdict", "trusted", "expected_log10_mse")
+    same = ("north_deg", "clock_min", "u", "chosen", "verdict", "trusted", "hours")
     misfits = {"misfit_before": "stated", "misfit_after": "fitted", "misfit_none": "none"}
     return {
-        **{name: getattr(scene, name) for name in (*same, "trusted_share", "hours")},
+        **{name: getattr(scene, name) for name in same},
         **{name: scene.misfit.get(key) for name, key in misfits.items()},
         "camera_m": [room.camera_x_m, room.camera_y_m, room.camera_z_m],
         "window": [{name: getattr(window, name) for name in names} for window in room.window],
@@ -86,11 +86,7 @@ def _lines(scene: Scene) -> list[str]:
         for name, value in scene.after.items()
     ]
     furniture = f"bars and furniture: {len(scene.room.obstruction)}"
-    lines = [*table_lines(rows), furniture, scene.verdict]
-    if scene.expected_log10_mse is not None:
-        doubt = "" if scene.trusted else " (not trusted)"
-        lines.append(f"expected log10 MSE over a year: {scene.expected_log10_mse:.1e}{doubt}")
-    return lines
+    return [*table_lines(rows), furniture, scene.verdict]
 
 
 @command_of("click", command)

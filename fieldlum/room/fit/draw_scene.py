@@ -9,8 +9,8 @@ import numpy as np
 from fieldlum.core.arrays import Indices
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.apply_scene import with_patches, with_scene
-from fieldlum.room.fit.evidence import SceneEvidence
 from fieldlum.room.fit.scene_file import Scene
+from fieldlum.room.fit.sunny_hours import direct_on_windows_lx, sunny_hours
 from fieldlum.room.scene.drawing import write_room
 from fieldlum.session import replacing_path
 
@@ -18,7 +18,7 @@ SHOWN_HOURS = 4  # chosen: one page in print
 FITTED_COLOUR, STATED_COLOUR = "#d62728", "#1f77b4"
 
 
-def draw(folder: Path, data: Dataset, scene: Scene, evidence: SceneEvidence) -> list[Path]:
+def draw(folder: Path, data: Dataset, scene: Scene) -> list[Path]:
     """Write overlay.png and plan.svg into a folder and return their paths.
 
     overlay.png: edges of fitted and stated patches over up to four captures; plan.svg: the fitted
@@ -29,7 +29,7 @@ def draw(folder: Path, data: Dataset, scene: Scene, evidence: SceneEvidence) -> 
     mpl.use("Agg")
     from matplotlib import pyplot
 
-    figure = _overlay(data, scene, evidence)
+    figure = _overlay(data, scene)
     with replacing_path(folder / "overlay.png") as temporary:
         figure.savefig(temporary, dpi=110, bbox_inches="tight")
     pyplot.close(figure)
@@ -40,11 +40,11 @@ def draw(folder: Path, data: Dataset, scene: Scene, evidence: SceneEvidence) -> 
     return [folder / "overlay.png", folder / "plan.svg"]
 
 
-def _overlay(data: Dataset, scene: Scene, evidence: SceneEvidence) -> Any:
+def _overlay(data: Dataset, scene: Scene) -> Any:
     """Draw captures in grey, with the edges of fitted and of stated patches."""
     from matplotlib import pyplot
 
-    rows = _rows_to_draw(evidence)
+    rows = _rows_to_draw(data)
     hours = data.take(rows)
     fitted = with_scene(hours, scene).patch_cdm2
     stated = with_patches(hours).patch_cdm2
@@ -60,9 +60,8 @@ def _overlay(data: Dataset, scene: Scene, evidence: SceneEvidence) -> Any:
     return figure
 
 
-def _rows_to_draw(evidence: SceneEvidence) -> Indices:
-    """Return the hours with most light in patches, one for each of several sun directions."""
-    excess = np.clip(np.exp(evidence.log_seen) - evidence.below, 0.0, None).mean(axis=1)
-    parts = np.array_split(np.arange(len(evidence)), SHOWN_HOURS)
-    best = [part[np.argmax(excess[part])] for part in parts if len(part)]
-    return evidence.rows[np.array(best)]
+def _rows_to_draw(data: Dataset) -> Indices:
+    """Return the hours with most direct sun on a window, one for each of several times."""
+    onto = direct_on_windows_lx(data, data.setup.room)
+    parts = np.array_split(np.flatnonzero(sunny_hours(data, data.setup.room)), SHOWN_HOURS)
+    return np.array([part[np.argmax(onto[part])] for part in parts if len(part)])

@@ -208,7 +208,7 @@ def scene_evidence(
 ) -> SceneEvidence:
     """Collect sunny hours, sampled pixels and the light without direct sun from captures.
 
-    Hours are those of `sunny_hours` near the strongest one; at most the 60 strongest are used.
+    Hours are those of `sunny_hours`; at most the 60 strongest are used.
     room: the stated box; pixels: number of pixels to draw, by solid angle, outside the
     windows. Raises InputError for a room that is not a box, has no window or is impossible,
     NotEnoughDataError for fewer than `min_hours` hours.
@@ -216,7 +216,7 @@ def scene_evidence(
     require_box(room)
     guess = guess_of(room, data.heading_deg)
     order = np.argsort(direct_on_windows_lx(data, room))[::-1][:MAX_HOURS]
-    rows = np.sort(order[sunny_hours(data, room, near_strongest=True)[order]])  # in order of time
+    rows = np.sort(order[sunny_hours(data, room)[order]])  # in order of time
     if len(rows) < min_hours:
         raise NotEnoughDataError(
             f"{len(rows)} captures have direct sun of at least {SUNSHINE_WM2:.0f} W/m² on a "

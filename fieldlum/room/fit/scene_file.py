@@ -23,10 +23,8 @@ class Scene:
     values and standard uncertainties by parameter. hours: number of sunny hours. misfit: by "none",
     "stated" and "fitted", the share of pixels near sun patches that this geometry leaves wrong in
     the sunny hours. chosen: the geometry that the captures support; verdict: why; trusted: whether
-    enough hours support it. expected_log10_mse, trusted_share: of a year's hours, by the model
-    trained with the chosen geometry; None: unknown. stated_heading_deg, stated_room: the start of
-    the fit. A scene is used only with captures that state the same, otherwise a correction would be
-    applied twice.
+    enough hours support it. stated_heading_deg, stated_room: the start of the fit. A scene is used
+    only with captures that state the same, otherwise a correction would be applied twice.
     """
 
     north_deg: float
@@ -38,8 +36,6 @@ class Scene:
     stated_room: Room
     trusted: bool = True
     hours: int = 0
-    expected_log10_mse: float | None = None
-    trusted_share: float | None = None
     misfit: dict[str, float] = field(default_factory=dict)
     before: dict[str, float] = field(default_factory=dict)
     after: dict[str, float] = field(default_factory=dict)
@@ -72,5 +68,6 @@ def read_scene(folder: Path) -> Scene:
     if table.get("format") != FORMAT:
         expected, remedy = f"format {FORMAT}", "fit the scene again (fieldlum scene fit)"
         raise InputError(path, f"a scene of format {table.get('format')}", expected, remedy)
-    table.pop("room_draws", None)  # of an earlier version, without any use
+    for name in ("room_draws", "expected_log10_mse", "trusted_share"):  # of earlier versions
+        table.pop(name, None)
     return build(Scene, table, str(path))

@@ -6,16 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
-from fieldlum.learn.models.scores import YearExpectation, expect_year
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.optics.projection import equirect_solid_angles
-from fieldlum.room.fit.apply_scene import with_scene
 from fieldlum.room.fit.checks import check_captures, reversed_compass_note
 from fieldlum.room.fit.draw_scene import draw
-from fieldlum.room.fit.evidence import scene_evidence
 from fieldlum.room.fit.fit import fit_scene
 from fieldlum.room.fit.parameters import CLOCK_SD_MIN
 from fieldlum.room.fit.pose_prior import pose_note, pose_of, prior_of
@@ -55,34 +51,19 @@ def run(
     notes += [note] if note else []
     scene = judged_scene(data, fitted)
     scene = replace(scene, notes=(*notes, *scene.notes))
-    pictures = draw(out, data, fitted, scene_evidence(data, room))
+    pictures = draw(out, data, fitted)
     return scene, [write_scene(out, scene), *pictures]
 
 
 def judged_scene(data: Dataset, fitted: Scene) -> Scene:
-    """Return a fitted scene with the geometry of the smallest misfit, and its expected error.
+    """Return a fitted scene with the geometry of the smallest misfit.
 
-    The scene is trusted if there are enough sunny hours (`why_untrusted`), and if the model trusts
-    at least half of a year's hours. With fewer than three directions of the sun, the expected error
-    is unknown (None). data: the captures of the fit.
+    It is trusted if there are enough sunny hours (`why_untrusted`). data: the captures of the fit.
     """
     chosen, reason = choose_geometry(fitted.misfit)
-    scene = replace(fitted, chosen=chosen, verdict=reason)
-    why = why_untrusted(data, scene.stated_room, scene.hours)
-    if why:
-        scene = replace(scene, trusted=False, notes=(*scene.notes, why))
-    if "directions" in why:
-        return scene
-    stated = replace(data, setup=replace(data.setup, room=scene.stated_room))
-    year = expected_year(with_scene(stated, scene))
-    trusts = f"the model trusts {100.0 * year.trusted_share:.0f} % of a year's hours"
-    return replace(
-        scene,
-        verdict=f"{reason}; {trusts} under the captures' skies",
-        trusted=scene.trusted and year.trusted_share >= MIN_TRUSTED_SHARE,
-        expected_log10_mse=year.expected_log10_mse,
-        trusted_share=year.trusted_share,
-    )
+    why = why_untrusted(data, fitted.stated_room, fitted.hours)
+    notes = (*fitted.notes, why) if why else fitted.notes
+    return replace(fitted, chosen=chosen, verdict=reason, trusted=not why, notes=notes)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -92,10 +73,8 @@ def judged_scene(data: Dataset, fitted: Scene) -> Scene:
 BLOCK_DEG = 9.0
 # Chosen: fewer clear hours or directions of the sun do not confirm a scene.
 MIN_CLEAR_HOURS, MIN_DIRECTIONS = 18, 3
-PIXELS = 250  # drawn by solid angle; measured: the ranking of three geometries is that with 500
 # Chosen: a scene that leaves more than this share of the misfit without patches lacks something.
 MAX_UNEXPLAINED = 0.5
-MIN_TRUSTED_SHARE = 0.5  # chosen: of a year's hours; with less, most of the year is a guess
 
 
 def directions_apart(suns: Floats) -> int:
@@ -148,21 +127,3 @@ def choose_geometry(misfit: Mapping[str, float]) -> tuple[Chosen, str]:
             "the room has something that the scene lacks (slats, leaves, a slope); see overlay.png"
         )
     return chosen, reason
-
-
-def expected_year(data: Dataset) -> YearExpectation:
-    """Return what a transport model of captures with a scene expects of a year, at 250 pixels."""
-    from fieldlum.learn.transport import fit
-
-    rng = np.random.default_rng(0)
-    data = replace(data, seen=_draw(data, rng))
-    return expect_year(fit(data), data, rng)
-
-
-def _draw(data: Dataset, rng: np.random.Generator) -> Mask:
-    """Return some of the seen pixels, drawn by solid angle, [H, W]."""
-    chance = np.where(data.seen, equirect_solid_angles(*data.shape), 0.0).ravel()
-    count = min(PIXELS, int((chance > 0.0).sum()))
-    mask = np.zeros(chance.size, bool)
-    mask[rng.choice(chance.size, count, replace=False, p=chance / chance.sum())] = True
-    return mask.reshape(data.shape)

@@ -9,10 +9,7 @@ from fieldlum.sky.daylight_kernel import facades_of
 
 # Least number of sunny hours: with every third held out, four hours are left to fit. Chosen.
 MIN_SUNNY_HOURS = 6
-# Chosen, not measured: of the light outside, on a window's plane; illuminance that makes a patch
-# several times brighter than the room; a sun below which refraction and horizon are uncertain.
-_SUNNY_SHARE = 0.1
-_MIN_SUN_LX = 1000.0
+# Chosen, not measured: a sun below which refraction and horizon are uncertain.
 _LOWEST_SUN_DEG = 2.0
 # Share of the strongest direct sun on a window; hours with less teach a fit little. Chosen, not
 # measured.
@@ -32,17 +29,14 @@ def direct_on_windows_lx(data: Dataset, room: Room | None) -> Floats:
     return np.where(light.sun_altitude_deg < _LOWEST_SUN_DEG, 0.0, facing * light.direct_lx)
 
 
-def sunny_hours(data: Dataset, room: Room | None, *, near_strongest: bool = False) -> Mask:
+def sunny_hours(data: Dataset, room: Room | None) -> Mask:
     """Return a mask [n], True for hours with strong direct sun on the plane of a window.
 
-    room: without a box room with windows, as `direct_on_windows_lx`. Strong is over 1 000 lx and
-    over a tenth of the total light; with `near_strongest`, over a tenth of the strongest hour. Both
-    also find the faint sun of overcast days. Therefore, if fewer than six hours near the strongest
-    one have sunshine (direct irradiance of at least 120 W/m2), hours without sunshine do not count.
+    room: without a box room with windows, as `direct_on_windows_lx`. Strong is over a tenth of the
+    strongest hour, which the faint sun of overcast days can be. Therefore, if fewer than six of
+    these hours have sunshine (direct irradiance of at least 120 W/m2), the others do not count.
     """
     onto = direct_on_windows_lx(data, room)
-    strong = near = onto > _STRONGEST_SHARE * max(float(onto.max(initial=0.0)), 1.0)
-    if not near_strongest:
-        strong = (onto > _SUNNY_SHARE * data.light.total_lx) & (onto > _MIN_SUN_LX)
+    strong = onto > _STRONGEST_SHARE * max(float(onto.max(initial=0.0)), 1.0)
     sunshine = data.light.dni_wm2 >= SUNSHINE_WM2
-    return strong if (near & sunshine).sum() >= MIN_SUNNY_HOURS else strong & sunshine
+    return strong if (strong & sunshine).sum() >= MIN_SUNNY_HOURS else strong & sunshine
