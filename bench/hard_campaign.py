@@ -45,7 +45,7 @@ from fieldlum.learn.train.outliers import without_changes
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
-from fieldlum.room.fit.misplaced_patches import misplacement_of, with_misplacement
+from fieldlum.room.fit.misplaced_patches import misplacement_of, warnings_of
 from fieldlum.session import Session, create_session, open_session
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.site_toml import load_site
@@ -270,9 +270,8 @@ def _trouble(session: Session, troubles: Troubles, height: int) -> None:
 def _row(data: Dataset, tests: _Tests, troubles: Troubles | None, folder: Path) -> dict[str, Any]:
     read = data.notes
     data, changes = without_changes(data, with_patch=True)
-    setting = misplacement_of(data, "absolute")
+    moved = warnings_of(misplacement_of(data, "absolute"), data.setup)
     fitted = fit("transport", data, patch="absolute", seed=0)
-    fitted, moved = with_misplacement(fitted, data, setting)
     notes = [*read, *changes, *model_notes(fitted, data, "absolute")]
     notes += [*held_out_warnings(fitted, data), *moved]
     scores = summary(evaluate(fitted, truth(tests.hours)))

@@ -17,7 +17,7 @@ from fieldlum.learn.train import held_out_warnings
 from fieldlum.learn.transport import Transport
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
-from fieldlum.room.fit.misplaced_patches import misplacement_of, with_misplacement
+from fieldlum.room.fit.misplaced_patches import misplacement_of, warnings_of
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import light_at
@@ -76,7 +76,7 @@ def test_intervals_hold_under_clouds_and_north_is_not_blamed(sd: float) -> None:
     text = " ".join(
         (
             *held_out_warnings(fitted, data),
-            *with_misplacement(fitted, data, misplacement_of(data, "absolute"))[1],
+            *warnings_of(misplacement_of(data, "absolute"), data.setup),
         )
     )
     assert "check clock" not in text and "north is wrong" not in text

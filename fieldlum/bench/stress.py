@@ -2,7 +2,7 @@
 
 A condition changes the training data, the test data, or both, relative to its own normal case.
 "Reported" means one of three: the training warned (`learn.train.held_out_warnings`,
-`room.fit.misplaced_patches.with_misplacement`); the model expected, on average, more than a third
+`room.fit.misplaced_patches.warnings_of`); the model expected, on average, more than a third
 of the error; or it did not trust most of the hours, or most of those with a large error.
 
 A gross error is a map that is wrong by more than a factor of 1.6 (log10 MSE over 0.04). It counts
@@ -25,7 +25,7 @@ from fieldlum.learn.models.scores import Scores, evaluate, truth
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import fit_timed, held_out_warnings, patch_mode
 from fieldlum.room.fit.apply_scene import with_patches
-from fieldlum.room.fit.misplaced_patches import misplacement_of, with_misplacement
+from fieldlum.room.fit.misplaced_patches import misplacement_of, warnings_of
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
 
@@ -237,9 +237,8 @@ def run(spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0) -> 
         train, tested = case.train.thin(20), case.test.thin(20)
         mode = patch_mode(train, spec.patch)
         fitted, spent = fit_timed(spec.name, train, patch=mode, seed=case.seed, budget_s=budget_s)
-        misplaced = misplacement_of(case.train, mode)
-        fitted, wrong = with_misplacement(fitted, case.train, misplaced)
-        warned = bool(held_out_warnings(fitted, train) or wrong)
+        misplaced = warnings_of(misplacement_of(case.train, mode), case.train.setup)
+        warned = bool(held_out_warnings(fitted, train) or misplaced)
         row = _row(evaluate(fitted, truth(tested, glare=False)), warned)
         about = {"name": spec.label, "regime": case.name, "n_train": len(train)}
         error = normal.setdefault(case.name, row["log10_mse_weighted"])

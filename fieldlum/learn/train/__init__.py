@@ -40,7 +40,7 @@ from fieldlum.learn.models.scores import (
 )
 from fieldlum.learn.models.training_data import Dataset, with_sky_view
 from fieldlum.learn.train.outliers import without_changes
-from fieldlum.room.fit.misplaced_patches import misplacement_of, with_misplacement
+from fieldlum.room.fit.misplaced_patches import misplacement_of, warnings_of
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.codec import current_note, data_digest, digest
 from fieldlum.session.files.model_files import ScoreRow, ScoresFile, TrainAnswer
@@ -270,10 +270,9 @@ def fit_and_score(
     trials, left_out = _trials(data, model, options)
     choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
     fitted, spent = fit_timed(choice.name, data, checkpoint=checkpoint, **options)
-    fitted, moved = with_misplacement(fitted, data, setting)
     notes = [*notes_of(data, patch, model, trials), *left_out, *model_notes(fitted, data, patch)]
     notes += [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
-    notes += [*changed, *held_out_warnings(fitted, data), *moved]
+    notes += [*changed, *held_out_warnings(fitted, data), *warnings_of(setting, data.setup)]
     return Result(
         fitted=fitted,
         trials=tuple(trials),

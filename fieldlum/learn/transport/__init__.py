@@ -45,7 +45,6 @@ from fieldlum.learn.transport.training_arrays import (
     TrainingArrays,
     computed_light,
     seen_sky,
-    slip_variance,
     training_arrays_of,
 )
 from fieldlum.optics.projection import equirect_solid_angles
@@ -144,7 +143,7 @@ class Transport:
             shown = None if patch is None else patch[rows]
             part = self.maps(light[rows], shown)
             maps[rows][:, self.seen] = part.luminance
-            sd[rows][:, self.seen], expected[rows], trusted[rows] = self._belief(part, shown)
+            sd[rows][:, self.seen], expected[rows], trusted[rows] = self._belief(part)
         return Prediction(luminance_cdm2=maps, log10_sd=sd, expected_mse=expected, trusted=trusted)
 
     def _checked(self, light: Light, patch: Floats32 | None) -> Floats32 | None:
@@ -189,10 +188,10 @@ class Transport:
         luminance *= np.exp(second @ pixels.second)
         return SurfaceMaps(luminance, direct, unit, features, cross)
 
-    def _belief(self, maps: SurfaceMaps, patch: Floats32 | None) -> tuple[Floats, Array, Mask]:
+    def _belief(self, maps: SurfaceMaps) -> tuple[Floats, Array, Mask]:
         """Return the sd of log10 L [n, P], the expected log10 MSE [n], and trusted [n].
 
-        maps: of n hours at P pixels; patch: sun patches [n, H, W], None if they are not used.
+        maps: of n hours at P pixels.
         """
         unsure, features = self.uncertainty, maps.features
         luminance = np.maximum(maps.luminance, np.float32(MIN_CDM2))
@@ -208,23 +207,7 @@ class Transport:
         wider = unsure.band * np.sqrt(expected / np.maximum(guess, 1e-12))
         sd = np.minimum(np.sqrt(square) * wider.astype(square.dtype)[:, None], 1.0)
         # a trusted hour is at most 1.5 times as far from the captures as any held-out day
-        trusted = variance <= 1.5 * unsure.novelty
-        if patch is None or unsure.slip_deg <= 0.0:
-            return sd, expected, trusted
-        dark = np.maximum(luminance * (1.0 - share), np.float32(MIN_CDM2))
-        slip = LOG10_E**2 * slip_variance(patch, self.seen, dark, unsure.slip_deg)
-        off = slip @ (weights / weights.sum())
-        # An hour that a displaced sun patch would change by over a quarter (0.01 log10 MSE) is not
-        # trusted.
-        return np.hypot(sd, np.sqrt(slip)), expected + off, trusted & (off < 0.01)
-
-    def with_displaced_patches(self, slip_deg: float) -> Transport:
-        """Return the same model, with a larger uncertainty near the edges of sun patches.
-
-        slip_deg: how far captured patches are displaced from computed ones [deg], as seen from the
-        camera.
-        """
-        return replace(self, uncertainty=replace(self.uncertainty, slip_deg=slip_deg))
+        return sd, expected, variance <= 1.5 * unsure.novelty
 
     def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz."""
@@ -283,10 +266,6 @@ class MeanTransport:
         room, height = stated.physics.room, len(stated.seen)
         with shown_by(quiet):  # a prediction is a step of the work that shows progress
             return sun_patches(room, suns, lx, height=height, heading_deg=heading_deg)
-
-    def with_displaced_patches(self, slip_deg: float) -> MeanTransport:
-        """Return the same model with displaced patches, as `Transport.with_displaced_patches`."""
-        return replace(self, fitted=self.fitted.with_displaced_patches(slip_deg))
 
     def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz."""
@@ -593,12 +572,11 @@ class Uncertainty:
     inverse, second: of the captures' covariance plus noise, in the first and in the second stage
     [n, n]; novelty: largest predictive variance of a capture with its day held out; patch: relative
     standard deviation of a sun patch; band: standard deviation whose 1.645 times contain 90 % of
-    the held-out errors, over their root mean square; slip_deg: displacement of computed from
-    captured sun patches [deg], 0 if none is known; careful: True if errors grow away from captures
-    by more than the variance shows: without sun patches, or with those of a stated or fitted room,
-    which are wrong in places. Of k tests, in which a captured hour was predicted from other days
-    or, if there are several, from other seasons: tested, index of the capture; error_of, guess_of:
-    log10 MSE, and its estimate before `expected_mse` [k].
+    the held-out errors, over their root mean square; careful: True if errors grow away from
+    captures by more than the variance shows: without sun patches, or with those of a stated or
+    fitted room, which are wrong in places. Of k tests, in which a captured hour was predicted from
+    other days or, if there are several, from other seasons: tested, index of the capture; error_of,
+    guess_of: log10 MSE, and its estimate before `expected_mse` [k].
     """
 
     inverse: Array
@@ -609,7 +587,6 @@ class Uncertainty:
     tested: Indices
     error_of: Array
     guess_of: Array
-    slip_deg: float = 0.0
     careful: bool = True
 
     def variance(self, cross: Array, own: Array) -> Array:

@@ -6,31 +6,27 @@ a scene fit, on the same evidence and cost; a number is wrong if its correction 
 """
 
 from dataclasses import dataclass, field, replace
-from typing import cast
 
 import numpy as np
 
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import SiteFile
-from fieldlum.learn.models import Fitted, Patch
+from fieldlum.learn.models import Patch
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.learn.transport import MeanTransport, Transport
 from fieldlum.room.fit.checks import reversed_compass_note, turned_windows_note
-from fieldlum.room.fit.evidence import scene_evidence
+from fieldlum.room.fit.evidence import COARSE_PIXELS, scene_evidence
 from fieldlum.room.fit.guess import guess_of
-from fieldlum.room.fit.parameters import SUN_DEG_PER_MIN, room_parameters, stated_albedo
+from fieldlum.room.fit.parameters import room_parameters, stated_albedo
 from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
 from fieldlum.room.scene.geometry import is_box_with_window
 
-TURNED_DEG = 30.0  # smallest turn of windows that is noted (`checks`)
 MIN_HOURS = 3  # sunny captures that a test needs; chosen
 SURE = 3.0  # smallest ratio of a correction to its standard uncertainty; chosen
 # Smallest corrections that are reported: a compass and a hand-set clock are no better. Chosen.
 MIN_OFF = {"north_deg": 0.5, "wall_azimuth_deg": 0.5, "clock_min": 1.0}
 TAPE_SDS = 3.0  # from which a length of the room counts as wrong, not as inaccurate; chosen
 MIN_GAIN = 0.02  # share of the misfit that wrong numbers must explain; chosen
-EDGE_AWAY_M = 3.0  # a length moves patches by this angle from the camera: length over 3 m; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +35,13 @@ class Misplacement:
 
     off: by name of a number, how much must be added to the stated one, and the standard uncertainty
     (deg, min, m; clock_min: stated times are later than the true ones). gain: share of the misfit
-    that this explains, in `hours` sunny hours. slip_deg: displacement of the computed patches from
-    the captured ones as seen from the camera, about; 0 if nothing is certain. note: directions that
-    are grossly wrong, which leaves the rest untested.
+    that this explains, in `hours` sunny hours. note: directions that are grossly wrong, which
+    leaves the rest untested.
     """
 
     off: dict[str, tuple[float, float]] = field(default_factory=dict)
     gain: float = 0.0
     hours: int = 0
-    slip_deg: float = 0.0
     note: str = ""
 
 
@@ -62,12 +56,12 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
         return None
     if note := turned_windows_note(data, room):
         note += "; check heading_deg, wall_azimuth_deg and the windows' walls"
-        return Misplacement(slip_deg=TURNED_DEG, note=note)
+        return Misplacement(note=note)
     if note := reversed_compass_note(data, room):
         return Misplacement(note=note)
     progress(0, 100, "setting: light without patches")
     try:
-        evidence = scene_evidence(data, room, min_hours=MIN_HOURS)
+        evidence = scene_evidence(data, room, pixels=COARSE_PIXELS, min_hours=MIN_HOURS)
     except NotEnoughDataError:
         return None
     start = guess_of(room, data.heading_deg)
@@ -97,57 +91,24 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
     off = {name: value for name, value in off.items() if name in MIN_OFF} or off
     gain = 1.0 - final / cost(start)
     if off and gain > MIN_GAIN:
-        return Misplacement(off, gain=gain, hours=len(evidence), slip_deg=_slip_deg(off))
+        return Misplacement(off, gain=gain, hours=len(evidence))
     return Misplacement(hours=len(evidence))
 
 
-def _slip_deg(off: dict[str, tuple[float, float]]) -> float:
-    """Return by what angle corrections move patches, seen from the camera: root sum of squares.
-
-    off: each correction and its standard uncertainty, by parameter, in the unit that its name has.
-    """
-    degrees = []
-    for name, (moved, _) in off.items():
-        if name == "clock_min":
-            moved *= SUN_DEG_PER_MIN
-        elif name not in ("north_deg", "wall_azimuth_deg"):
-            moved = float(np.degrees(np.arctan2(moved, EDGE_AWAY_M)))
-        degrees.append(moved)
-    return float(np.sqrt(np.sum(np.square(degrees))))
-
-
-def with_misplacement(
-    fitted: Fitted, data: Dataset, found: Misplacement | None
-) -> tuple[Fitted, list[str]]:
-    """Return the model with a larger uncertainty near sun patches, and warnings.
-
-    found: result of `misplacement_of` for the captures `data`. Both apply only if these
-    contradict the computed sun patches; the uncertainty is that of patches displaced as far as the
-    captures show, for a transport model only. Nothing is corrected: a wrong north must be corrected
-    in SITE.toml, which all stages read.
-    """
-    if found is None:
-        return fitted, []
-    if found.slip_deg > 0.0 and isinstance(fitted, Transport | MeanTransport):
-        fitted = cast("Fitted", fitted.with_displaced_patches(found.slip_deg))
-    return fitted, warnings_of(found, data.setup)
-
-
-def warnings_of(found: Misplacement, setup: SiteFile) -> list[str]:
+def warnings_of(found: Misplacement | None, setup: SiteFile) -> list[str]:
     """Return lines that warn of a wrong setting: what is wrong, then a remedy for each cause.
 
-    The list is empty if nothing is certain.
+    found: result of `misplacement_of`. The list is empty if nothing is certain. Nothing is
+    corrected: a wrong north must be corrected in SITE.toml, which all stages read.
     """
+    if found is None or not (found.note or found.off):
+        return []
     if found.note:
         return [f"WARNING: {found.note}"]
-    if found.slip_deg == 0.0:
-        return []
     words, remedies = zip(*(_advice(*item, setup) for item in found.off.items()), strict=True)
     return [
         f"WARNING: captured sun patches are displaced from the computed ones ({found.hours} "
-        f"hours): {', '.join(words)}, which explains {found.gain:.0%} of the misfit. Until this "
-        "is fixed, the transport model has a larger uncertainty in hours that depend on sun "
-        "patches",
+        f"hours): {', '.join(words)}, which explains {found.gain:.0%} of the misfit",
         *(f"to fix {name}: {text}" for name, text in zip(found.off, remedies, strict=True)),
     ]
 
