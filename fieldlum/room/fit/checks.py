@@ -1,34 +1,27 @@
 """Reject captures that no scene can explain, before a search.
 
-Windows at other places in the pictures than in the room are an error. A compass that was read
-backwards is noted. Captures of another view are left out when they are read (`learn.models`).
+Windows at other places in the pictures than in the room are an error. Captures of another view are
+left out when they are read (`learn.models`).
 """
 
 import numpy as np
-from scipy.optimize import nnls
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg, turned
+from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.room.fit.evidence import require_box
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.renderer import OUTSIDE, surfaces
 from fieldlum.room.scene.view import pixel_rays
-from fieldlum.sky.daylight_kernel import facades_of
 
 # Chosen, not measured: a third of the smallest turn that is reported; a turn beyond what the search
-# corrects for a compass near steel; minimum number of hours that show a pattern.
+# corrects for a compass near steel.
 _TURN_STEP_DEG = 10.0
 _MIN_TURN_DEG = 30.0
-_REVERSED_DEG = 135.0  # chosen: nearer to a reversed compass than to a side wall
-_MIN_HOURS = 12
-# Measured in the office and in three rendered rooms: 0 (windows) and 1.0 (sun) with the correct
-# room; 2.6 to 3.0 and 0.48 to 0.54 with the room turned by 180 degrees.
+# Measured in the office and in three rendered rooms: 0 with the correct room; 2.6 to 3.0 with the
+# room turned by 180 degrees.
 _WINDOW_LOG_GAIN = 1.0
-_SUN_ERROR_SHARE = 0.7
-# share of the room's light that must follow the sun in front of the stated windows; chosen
-_SUN_SHARE = 0.05
 _FLOOR_CDM2 = 0.1  # chosen: a luminance below that of a room by day
 
 
@@ -74,44 +67,4 @@ def turned_windows_note(data: Dataset, room: Room) -> str:
     return (
         f"bright windows about {turn_deg:+.0f} degrees (clockwise) from where [room] and "
         "heading_deg place windows"
-    )
-
-
-def reversed_compass_note(data: Dataset, room: Room) -> str:
-    """Return a note if the room's light follows a sun behind the stated windows; "" otherwise.
-
-    A compass that was read backwards has this effect, and so has a sunlit facade opposite: the
-    captures alone do not tell which, so that nothing is refused. The mean luminance of the room is
-    fitted by diffuse light, by direct light on the windows of a turned room and by direct light on
-    the ground, none of them negative.
-    """
-    if len(data) < _MIN_HOURS:
-        return ""
-    omega = np.where(data.seen, equirect_solid_angles(*data.shape), 0.0).ravel()
-    mean = np.average(data.luminance_cdm2.reshape(len(data), -1), axis=1, weights=omega)
-    light, suns = data.light, data.light.sun_direction
-    normals = facades_of(room).normals
-    turns = np.arange(0.0, 360.0, _TURN_STEP_DEG)
-    errors, shares = [], []
-    for turn in turns:
-        facing = np.maximum(suns @ turned(normals, turn).T, 0.0).max(axis=1)
-        parts = np.column_stack(
-            [light.diffuse_lx, facing * light.direct_lx, light.direct_lx * suns[:, 2].clip(0.0)]
-        )
-        scale = 1.0 / np.maximum(mean, _FLOOR_CDM2)
-        shared, norm = nnls(parts * scale[:, None], mean * scale)
-        errors.append(norm**2)
-        shares.append(shared[1] * float((parts[:, 1] * scale).mean()))
-    best = int(np.argmin(errors))
-    turn_deg = float(signed_angle_deg(turns[best]))
-    # Sun through the stated windows is no contradiction, even next to light from a sunlit facade
-    # opposite.
-    absent = shares[0] < _SUN_SHARE
-    clear = absent and errors[best] < _SUN_ERROR_SHARE * errors[0]
-    if not clear or abs(turn_deg) < _REVERSED_DEG:
-        return ""
-    return (
-        f"the room's light follows the sun as in a room turned by {turn_deg:+.0f} degrees: if no "
-        "sunlit facade faces the windows, the compass was read backwards; check heading_deg and "
-        "wall_azimuth_deg (180 degrees) and the time zone of the captures' times"
     )

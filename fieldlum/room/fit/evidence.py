@@ -220,8 +220,8 @@ def scene_evidence(
     if len(rows) < min_hours:
         raise NotEnoughDataError(
             f"{len(rows)} captures have direct sun of at least {SUNSHINE_WM2:.0f} W/m² on a "
-            f"window, but at least {min_hours} are needed: capture clear hours; until then train "
-            "uses the stated [room]"
+            f"window, but at least {min_hours} are needed: capture clear hours, and check that "
+            "wall_azimuth_deg is not turned; until then train uses the stated [room]"
         )
     chosen = _draw_pixels(data, guess, pixels)
     sub = max(1, round(RAY_ROWS / data.shape[0]))

@@ -14,7 +14,7 @@ from fieldlum.core.progress import progress
 from fieldlum.core.records import SiteFile
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.room.fit.checks import reversed_compass_note, turned_windows_note
+from fieldlum.room.fit.checks import turned_windows_note
 from fieldlum.room.fit.evidence import COARSE_PIXELS, scene_evidence
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import room_parameters, stated_albedo
@@ -56,8 +56,6 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
         return None
     if note := turned_windows_note(data, room):
         note += "; check heading_deg, wall_azimuth_deg and the windows' walls"
-        return Misplacement(note=note)
-    if note := reversed_compass_note(data, room):
         return Misplacement(note=note)
     progress(0, 100, "setting: light without patches")
     try:

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.room.fit.checks import check_captures, reversed_compass_note
+from fieldlum.room.fit.checks import check_captures
 from fieldlum.room.fit.draw_scene import draw
 from fieldlum.room.fit.fit import fit_scene
 from fieldlum.room.fit.parameters import CLOCK_SD_MIN
@@ -42,13 +42,8 @@ def run(
     check_writable(out)
     discs = read_discs(Session(Path(data.source).parent))
     pose = pose_of(discs, data.setup.site, data.heading_deg, clock_sd_min)
-    note = reversed_compass_note(data, room)
-    try:
-        fitted = fit_scene(data, room, pose=pose and prior_of(pose), clock_sd_min=clock_sd_min)
-    except NotEnoughDataError as error:
-        raise NotEnoughDataError(f"{error}; {note}" if note else str(error)) from None
+    fitted = fit_scene(data, room, pose=pose and prior_of(pose), clock_sd_min=clock_sd_min)
     notes = [] if pose is None else [pose_note(pose, len(discs))]
-    notes += [note] if note else []
     scene = judged_scene(data, fitted)
     scene = replace(scene, notes=(*notes, *scene.notes))
     pictures = draw(out, data, fitted)
