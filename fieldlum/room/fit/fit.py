@@ -28,7 +28,6 @@ from fieldlum.room.fit.parameters import (
 )
 from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
-from fieldlum.room.fit.window_view import window_view
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.training_data import Dataset
@@ -103,7 +102,6 @@ class SceneSearch:
         self.data, self.room, self.pose = data, room, pose
         self.evidence = scene_evidence(data, room, pixels=pixels)
         self.start = self.guess = guess_of(room, data.heading_deg)
-        self.view = window_view(data, self.start)
         self.parameters = room_parameters(self.start, clock_sd_min) + glass_parameters(self.start)
         self.albedo = self.evidence.albedos(self.start, stated_albedo(room))
         self.unit = prior_unit(self.evidence, self.start, self.albedo)
@@ -111,9 +109,7 @@ class SceneSearch:
     def cost(self, *, coarse: bool = False) -> SceneCost:
         """Return the function that computes a guess's cost; coarse: at fewer pixels, for speed."""
         evidence = self.evidence.coarse() if coarse else self.evidence
-        return SceneCost(
-            evidence, self.start, self.parameters, self.albedo, self.unit, self.pose, self.view
-        )
+        return SceneCost(evidence, self.start, self.parameters, self.albedo, self.unit, self.pose)
 
     def run(self, step: Callable[[int, str], None], kinds: Sequence[Kind] = KINDS) -> Guess:
         """Search everything from the stated box; the state becomes the result's.
