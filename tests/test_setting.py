@@ -15,7 +15,6 @@ from fieldlum.core.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.learn.models import Fitted
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport import fit
-from fieldlum.learn.transport.training_arrays import slip_variance
 from fieldlum.room.fit.misplaced_patches import (
     Misplacement,
     misplacement_of,
@@ -159,19 +158,6 @@ def test_a_wrong_north_is_warned_of_and_expected() -> None:
         fit(of).predict(of.light, of.patch_cdm2).expected_mse[sunny] for of in (data, captured())
     )
     assert wrong.mean() > 2.0 * right.mean()
-
-
-@pytest.mark.slow
-@pytest.mark.analytic
-def test_slip_of_a_straight_edge() -> None:
-    patch = np.zeros((1, 6, 12), np.float32)
-    patch[:, :, 6:9] = 90.0
-    seen, dark = np.ones((6, 12), bool), np.full((1, 72), 10.0)
-    found = slip_variance(patch, seen, dark, 15.0).reshape(6, 12)  # half a pixel
-    # a shift by half a pixel changes half a pixel along the edge, by ln 10 squared
-    assert found[3, :8].sum() == pytest.approx(0.5 * np.log(10.0) ** 2)
-    wrapped = np.roll(patch, 5, axis=2)  # across the seam
-    assert slip_variance(wrapped, seen, dark, 15.0).reshape(6, 12)[3, 10:].any()
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from fieldlum.learn.models.held_out_choice import light_variance
 from fieldlum.learn.models.training_data import joined_counts, load_pairs, pixel_counts
 from fieldlum.learn.transport import fit
 from fieldlum.learn.transport.solve import basis_of, fit_pixels, patch_scale
-from fieldlum.learn.transport.training_arrays import edge_weights, training_arrays_of
+from fieldlum.learn.transport.training_arrays import training_arrays_of
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.scene.view import traced_view
@@ -43,18 +43,6 @@ def test_what_all_captures_share_cancels() -> None:
     never = np.zeros(SHAPE, np.float16)  # a luminaire that clips in most captures keeps its values
     mostly = joined_counts(np.stack([never, never, never + 1]), seen)
     assert mostly is not None and (mostly[:2] > 0.0).all() and (mostly[:2] < 0.2).all()
-
-
-@pytest.mark.analytic
-def test_edges_of_a_fitted_scenes_patches_teach_little() -> None:
-    patch = np.zeros((3, 30, 60), np.float32)
-    patch[0, 10:20, 10:30] = 2000.0
-    luminance = np.full((3, 1800), 100.0, np.float32)
-    seen, total_lx = np.ones((30, 60), bool), np.array([5e4, 5e4, 1e4])
-    weights = edge_weights(patch, seen, luminance, total_lx).reshape(patch.shape)
-    assert (weights[1:] == 1.0).all() and (weights[0, 12:18, 12:28] == 1.0).all()
-    assert (weights[0, 9:11, 9:31] < 0.1).all()  # both sides of an edge
-    assert (weights[0, :9] == 1.0).all() and (weights[0, :, 32:] == 1.0).all()
 
 
 @pytest.mark.analytic

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.room_states import ADDED, OFF, cover_state, indicators, parse_state
-from fieldlum.core.statistics import cauchy_weights, nan_percentiles
+from fieldlum.core.statistics import nan_percentiles
 from fieldlum.learn.models.held_out_choice import light_variance, weight_of_variance
 from fieldlum.optics.projection import equirect_rays, equirect_solid_angles
 from fieldlum.sky.daylight import Light
@@ -215,10 +215,10 @@ class TrainingArrays:
 
     luminance: captured [n, P] cd/m2; patch: luminance of sun patches [n, P] cd/m2, None if they are
     not used; sky: light of the sky through windows [n, P] cd/m2; filled: values without weight,
-    where a blind may hide a patch, or merge flagged [n, P]; trust:
-    weight of each value by irradiance, flags, uncertainty and nearness to the edge of a sun patch,
-    0 to 1 [n, P]; weights: solid angles [P]; unsure: relative variance of the irradiance
-    (`light_variance`) [n]; computed: light of the stated room, None if it is not used.
+    where a blind may hide a patch, or merge flagged [n, P]; trust: weight of each value by
+    irradiance, flags and uncertainty, 0 to 1 [n, P]; weights: solid angles [P]; unsure: relative
+    variance of the irradiance (`light_variance`) [n]; computed: light of the stated room, None if
+    it is not used.
     """
 
     light: Light
@@ -273,8 +273,6 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
     if data.counts is not None:
         counts = data.counts[:, data.seen]
         trust, filled = trust * counts, filled | (counts == 0.0)
-    if data.scene is not None and patches is not None:
-        trust = trust * edge_weights(patches, data.seen, luminance, light.total_lx)
     states = StateColumns.of(light)
     return TrainingArrays(
         light=light,
@@ -301,39 +299,6 @@ def _patches_unknown(data: Dataset) -> Mask:
     rows = np.flatnonzero([bool(cover_state(text)) for text in data.light.states])
     out[rows] = data.patch_cdm2[rows] > 0.02 * data.luminance_cdm2[rows]
     return out
-
-
-def slip_variance(patch: Floats, seen: Mask, dark: Floats, slip_deg: float) -> Floats:
-    """Return the variance of ln L due to sun patches that are displaced by an angle, [n, P].
-
-    patch: luminance of sun patches [n, H, W] cd/m2; seen: mask [H, W] of the P pixels; dark:
-    luminance without the patch [n, P] cd/m2; slip_deg: the angle.
-    """
-    from scipy.ndimage import maximum_filter, minimum_filter
-
-    slip_px = slip_deg * patch.shape[1] / 180.0
-    reach = max(1, int(np.ceil(slip_px)))
-    size, modes = (1, 2 * reach + 1, 2 * reach + 1), ("nearest", "nearest", "wrap")
-    low = minimum_filter(patch, size, mode=modes)[:, seen]  # pyright: ignore[reportArgumentType]
-    high = maximum_filter(patch, size, mode=modes)[:, seen]  # pyright: ignore[reportArgumentType]
-    odds = slip_px / (2.0 * reach)  # that a pixel is on the other side of a straight edge
-    return odds * np.log((dark + high) / (dark + low)) ** 2
-
-
-def edge_weights(patch: Floats, seen: Mask, luminance: Floats, total_lx: Floats) -> Floats:
-    """Return the weight of each captured value next to patches of a fitted scene, 0 to 1, [n, P].
-
-    A value at the edge of a patch may show sun where the scene has shade, so it has little weight.
-    patch: luminance of sun patches [n, H, W] cd/m2; seen: mask [H, W] of the P pixels; luminance:
-    captured [n, P] cd/m2; total_lx: light of the sky and the sun [n].
-    """
-    total = total_lx[:, None]  # [n, 1]
-    dark = np.median(luminance / total, axis=0) * total  # [n, P]
-    # Patches of a fitted scene are displaced by 0.5 degrees as seen from the camera: edges by 1 to
-    # 2 cm at some 3 m, and the sun by 0.2 degrees.
-    variance = slip_variance(patch, seen, dark, 0.5)
-    # A standard deviation of 0.15 of ln L halves the weight, as in the robust rounds of the fit.
-    return cauchy_weights(np.sqrt(variance), 0.15)
 
 
 def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
