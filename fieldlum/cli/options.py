@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from fieldlum.core.scheduler import Scheduler
     from fieldlum.session import Session
     from fieldlum.session import Session as OpenSession
-    from fieldlum.session.permits import Subject
 else:
     OpenSession = Any  # the argument SESSION: the session of the folder that the user names
 
@@ -118,33 +117,23 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
     given URI that names a program, a file or another computer is permitted from now on. Raises
     InputError for one of the session that was never permitted on this computer.
     """
+    from fieldlum.cli.terminal import say
     from fieldlum.core.errors import DeviceError
     from fieldlum.devices.address_permission import permission_subject, require_permitted
+    from fieldlum.session.permits import permit
 
     stored = session.table().get("devices", {}).get("uris", {})
     uris = dict(zip(DEVICES, given, strict=True))
     for name, uri in uris.items():
         if uri:
-            with suppress(DeviceError):  # opening the device reports it
-                permit_named(uri, permission_subject(uri))
+            try:
+                with suppress(DeviceError):  # opening the device reports it
+                    permit(*filter(None, [permission_subject(uri)]))
+            except OSError as error:
+                say(f"note: could not store that you permit {uri} ({error}): name it again")
         elif uri is None and stored.get(name):
             require_permitted(stored[name], session.toml, f"--{name}")
     return tuple(stored.get(name, "") if uri is None else uri for name, uri in uris.items())
-
-
-def permit_named(what: str, wanted: Subject | None) -> None:
-    """Permit what the user named, for later commands; a note tells if that cannot be stored.
-
-    what: a device's URI. wanted: what to permit, None for nothing.
-    """
-    from fieldlum.cli.terminal import say
-    from fieldlum.session.permits import permit
-
-    try:
-        if wanted:
-            permit(wanted)
-    except OSError as error:
-        say(f"note: could not store that you permit {what} ({error}): name it again next time")
 
 
 def new_file(path: Path | None, force: bool) -> None:
