@@ -135,9 +135,8 @@ def test_clear_sky_noon_stands_at_the_hour_centre(tmp_path) -> None:
     day = slice(24 * 171, 24 * 172)
     seconds = np.array([t.timestamp() for t in found.t_utc[day]])
     middle = datetime.fromtimestamp(float(np.average(seconds, weights=found.ghi_wm2[day])), UTC)
-    noon = sun.rise_transit_set(
-        [sun.standard_date(found.t_utc[24 * 171 + 12], SEATTLE.timezone)], SEATTLE
-    )[0].transit
+    date_ = sun.standard_date(found.t_utc[24 * 171 + 12], SEATTLE.timezone)
+    noon = sun.rise_transit_set(date_, SEATTLE).transit
     assert noon is not None and abs((middle - noon).total_seconds()) < 180
 
 

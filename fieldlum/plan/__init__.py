@@ -319,7 +319,7 @@ def summary(session: Session, plan: Plan) -> JsonTable:
     slots, setup = plan.slots, session.site_file()
     site, turns = setup.site, max(len(setup.camera.headings), 1)
     days = sorted({sun.standard_date(slot.t_utc, site.timezone) for slot in slots})
-    noon = sun.rise_transit_set(days[:1], site)[0].transit
+    noon = sun.rise_transit_set(days[0], site).transit
     return {
         "session": str(session.root),
         "slots": len(slots),

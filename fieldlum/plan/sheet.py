@@ -174,7 +174,7 @@ def _sheet(
     zone = ZoneInfo(setup.site.timezone)
     tags = sorted({tag for slot in slots for tag in slot.tags if tag in days.SEASON_TAGS})
     exposures, (each_s, megabytes) = slots[0].exposures, cost
-    today = sun.rise_transit_set([day], setup.site)[0]
+    today = sun.rise_transit_set(day, setup.site)
     times = {"Sunrise": today.rise, "sunset": today.set}
     shown = [f"{name} {t.astimezone(zone):%H:%M}" for name, t in times.items() if t]
     return {

@@ -198,33 +198,20 @@ class DayOfSun(NamedTuple):
 RISE_ALTITUDE_DEG = -0.8333
 
 
-def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
-    """Return rise, transit and set of each local standard day, in the order of `days`.
+def rise_transit_set(day: date, site: Site) -> DayOfSun:
+    """Return rise, transit and set of a local standard day, to the minute in which they begin.
 
-    A polar night or a midnight sun has neither rise nor set. Crossings of the rise altitude and of
-    the meridian are interpolated in positions every two minutes. pvlib's own times are wrong by up
-    to a day's drift (85 s at Sydney's equinox) far from Greenwich, and by minutes where the sun
-    touches the horizon.
+    A polar night or a midnight sun has neither rise nor set. pvlib's own times are wrong by up to a
+    day's drift (85 s at Sydney's equinox) far from Greenwich, and by minutes where the sun touches
+    the horizon.
     """
-    events = []
-    for start in (standard_midnight(day, site.timezone) for day in days):
-        times = [start + timedelta(minutes=2 * k) for k in range(721)]
-        at = position(times, site)
-        above = at.altitude_deg - RISE_ALTITUDE_DEG
-        west = -direction(at.altitude_deg, at.azimuth_deg)[:, 0]
-        rise, transit, down = (_rising_through_0(v, times) for v in (above, west, -above))
-        events.append(DayOfSun(rise=rise, transit=transit, set=down))
-    return events
-
-
-def _rising_through_0(value: Floats, times: Sequence[datetime]) -> datetime | None:
-    """Return the first time at which a sampled value passes from below 0 to above, to a second."""
-    at = np.flatnonzero((value[:-1] < 0.0) & (value[1:] >= 0.0))
-    if not at.size:
-        return None
-    k = int(at[0])
-    moment = times[k] + (times[k + 1] - times[k]) * float(value[k] / (value[k] - value[k + 1]))
-    return (moment + timedelta(milliseconds=500)).replace(microsecond=0)
+    start = standard_midnight(day, site.timezone)
+    times = [start + timedelta(minutes=k) for k in range(1441)]
+    at = position(times, site)
+    above = at.altitude_deg - RISE_ALTITUDE_DEG
+    west = -direction(at.altitude_deg, at.azimuth_deg)[:, 0]
+    events = (np.flatnonzero((v[:-1] < 0.0) & (v[1:] >= 0.0)) for v in (above, west, -above))
+    return DayOfSun(*(times[k[0]] if k.size else None for k in events))
 
 
 # ----------------------------------------------------------------------------------------------
