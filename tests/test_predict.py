@@ -543,6 +543,9 @@ def test_a_model_of_earlier_pictures_is_refused_and_the_report_warns(
     year = run(own, weather)[0]
     earlier = "The year is of an earlier model"
     assert earlier not in " ".join(warnings_of(session, year))
+    more = view.inputs | {"captures": [*slots, "2027-06-21/1200"], "others": "c"}
+    replace(view, inputs=more).write(session.sky_view)
+    assert earlier not in " ".join(warnings_of(session, year))  # more captures since
     replace(view, inputs=view.inputs | {"others": "b"}).write(session.sky_view)
     with pytest.raises(InputError, match="of other pictures, irradiance or times"):
         run(own, weather)

@@ -348,14 +348,18 @@ def _differences(
 def is_model_outdated(session: Session, config: ModelConfig, view: SkyView | None) -> bool:
     """Return whether a session's pictures, irradiance or times are not those of a model's training.
 
-    The inputs of both sky views decide. view: the model's; one that was computed from other
-    captures than the model (train --sky-view) proves nothing.
+    The inputs of both sky views decide; captures that were added since do not count. view: the
+    model's; one that was computed from other captures than the model (train --sky-view) proves
+    nothing.
     """
     own = SkyView.find(session.sky_view)
     if own is None or view is None or not view.inputs:
         return False
-    of_training = set(config.training.slots) <= set(view.inputs["captures"])
-    return of_training and (own.inputs != view.inputs or is_outdated(session, view))
+    known = set(view.inputs["captures"])
+    if not set(config.training.slots) <= known:
+        return False
+    added = set(own.inputs.get("captures", ())) - known
+    return is_outdated(session, view) or (not added and own.inputs != view.inputs)
 
 
 def is_current(session: Session, annual: Annual) -> bool:
