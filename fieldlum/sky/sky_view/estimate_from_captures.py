@@ -51,8 +51,8 @@ _DISC_U = 0.15  # of a captured disc over that of the view, by edges and the bea
 # a direction follows the sky, and above which it does not. Sky reaches 0.3, sunlit facades 1.0
 # (rooms of docs/sky-view.md).
 _FOLLOWS, _FOLLOWS_NOT = 0.5, 1.0
-# A direction with as many captures is doubted twice as much as with many, and no disc is certain
-# with fewer: draws of 6 to 12 captures (docs/validation.md). Chosen.
+# A direction with as many captures is doubted twice as much as with many (docs/validation.md).
+# Chosen.
 _FEW_CAPTURES = 12
 # Shares of the brightest ratio: of a pane at least (interior surfaces reach 0.2 in the rooms of
 # docs/sky-view.md, but do not follow the sky; a darker pane has bounds); of what scatters; and of
@@ -326,7 +326,7 @@ def _decided(
     bright = apart & is_bright & (spread < _FOLLOWS_NOT * doubt)
     bright |= np.isnan(relative) & (ratio > _BRIGHT_SHARE)
     few = stack.placed(seen.count) < MIN_CAPTURES
-    low = np.where(stack.placed(seen.count) < _FEW_CAPTURES, 0.0, low)
+    low = np.where(few, 0.0, low)
     high = np.where(scatters | bright | few, np.clip(1.3 * doubt * ratio, high, 1.0), high)
     u = np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0)
     count = np.where(stack.dark, len(light), stack.placed(seen.count))
@@ -528,9 +528,9 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
         )
     elif captures < _FEW_CAPTURES:
         notes.append(
-            f"{captures} captures give a first look at where the sky is: no disc is certain, and "
-            f"its bounds may be too narrow; capture {_FEW_CAPTURES} or more hours, overcast and "
-            "clear, with the sun in front of the window and behind it"
+            f"{captures} captures give a first look at where the sky is, and bounds of the sun's "
+            f"disc may be wrong; capture {_FEW_CAPTURES} or more hours, overcast and clear, with "
+            "the sun in front of the window and behind it"
         )
     if not sky.any() and decided.bright.any():
         notes.append(
