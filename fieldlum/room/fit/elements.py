@@ -1,7 +1,7 @@
 """Propose what a stated box lacks: shade outside, bars in windows, furniture.
 
 Proposals are a coarse grid of usual sizes; the search moves their faces, and keeps an element only
-if hours that it did not see agree.
+if its gain exceeds its standard error over the hours.
 """
 
 from collections.abc import Callable, Iterator
