@@ -10,7 +10,7 @@ import pytest
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Obstruction, Room, Window
 from fieldlum.optics.projection import direction
-from fieldlum.room.scene.geometry import build
+from fieldlum.room.scene.box_room import build
 from fieldlum.room.scene.radiance import SKY_TEXT, octree, rad_text, trace
 from fieldlum.room.scene.write_honeybee import honeybee_model
 

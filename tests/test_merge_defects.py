@@ -8,7 +8,7 @@ import pytest
 from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import MergeOptions, merge_shots, shots_of_files
 from fieldlum.merge.linear_frames import Crop
-from fieldlum.merge.sensor_image import good_pixels, odd_pixels
+from fieldlum.merge.sensor_frames import good_pixels, odd_pixels
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 from fieldlum.optics.raw.writing import write_dng
 

@@ -16,7 +16,7 @@ from fieldlum.merge import MergeOptions, Shot, merge_sensor, merge_shots, shots_
 from fieldlum.merge.bracket import orientation_conflict, verdict
 from fieldlum.merge.project import footprint_px, u_of_edges
 from fieldlum.merge.ratios import any_beyond_prior, fit_ratios, unexplained_u
-from fieldlum.merge.sensor_image import Findings, SensorImage
+from fieldlum.merge.sensor_frames import Findings, SensorImage
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
 from fieldlum.optics.photometry import PairRatio, true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from places import SEATTLE
 
-from fieldlum.room.scene.geometry import turned
+from fieldlum.room.scene.box_room import turned
 from fieldlum.sky.daylight import light_at
 from fieldlum.sky.perez import cosines, reinhart_patches
 

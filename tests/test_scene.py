@@ -15,7 +15,7 @@ from fieldlum.optics.images import RADIANCE_LM_PER_W
 from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import equirect_pixel
 from fieldlum.room import scene
-from fieldlum.room.scene import geometry, patches, radiance, view
+from fieldlum.room.scene import box_room, patches, radiance, view
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 
@@ -69,7 +69,7 @@ def _heading(room: Room) -> float:
 
 def disc_of(room: Room, suns: Floats) -> tuple[Floats, Floats]:
     """The visible share of each sun's disc, and its glass's transmittance."""
-    built = geometry.build(room)
+    built = box_room.build(room)
     return scene.disc_visibility(built, built.to_room(suns))
 
 
@@ -79,7 +79,7 @@ def disc_of(room: Room, suns: Floats) -> tuple[Floats, Floats]:
 )
 def test_shipped_rooms_can_be(path: Path) -> None:
     room = load_site(path).room
-    assert room is not None and geometry.build(room).openings
+    assert room is not None and box_room.build(room).openings
 
 
 @pytest.mark.slow
@@ -93,7 +93,7 @@ def test_patch_on_the_floor_by_hand() -> None:
     made = scene.sun_patches(
         BARE, sun.direction(45.0, 180.0)[None], [10000.0], height=180, heading_deg=180.0
     )
-    through, _ = geometry.glass_optics(0.88, np.cos(np.radians(45.0)))
+    through, _ = box_room.glass_optics(0.88, np.cos(np.radians(45.0)))
     expected = 10000.0 * float(through) * np.sin(np.radians(45.0)) * 0.2 / np.pi
     eye = np.array([2.0, 2.5, 1.5])
     for x, y, lit in (
@@ -118,9 +118,9 @@ def test_normal_glass_passes_what_it_says() -> None:
     """.88 at normal incidence gives transmissivity .96, as Radiance's manual has it;
     grazing gives none.
     """
-    through, back = geometry.glass_optics(0.88, [1.0, 0.5, 1e-6])
+    through, back = box_room.glass_optics(0.88, [1.0, 0.5, 1e-6])
     assert through[0] == pytest.approx(0.88, abs=1e-4)
-    assert geometry.transmissivity(0.88) == pytest.approx(0.96, abs=2e-3)
+    assert box_room.transmissivity(0.88) == pytest.approx(0.96, abs=2e-3)
     assert through[2] < 1e-3 and back[2] > 0.99
     assert (through + back <= 1).all()
 
@@ -134,7 +134,7 @@ def test_patches_authority_rtrace(room: Room) -> None:
     """
     assert room is not None
     height, heading = 40, _heading(room)
-    built = geometry.build(room)
+    built = box_room.build(room)
     text = radiance.rad_text(built)
     pixel, rays = view.pixel_rays(height, heading, view.patch_rays(height))
     for altitude, turn in ((45.0, 0.0), (20.0, 35.0), (35.0, 90.0), (15.0, -120.0)):
@@ -154,7 +154,7 @@ def test_window_fraction_authority_rtrace(room: Room) -> None:
     """The room under a sky of one, nothing else, by rtrace."""
     assert room is not None
     height, heading = 40, _heading(room)
-    built = geometry.build(room)
+    built = box_room.build(room)
     pixel, rays = view.pixel_rays(height, heading, 3)
     with radiance.octree(radiance.rad_text(built), radiance.SKY_TEXT) as octree:
         seen = radiance.trace(octree, np.array(built.camera_m), built.to_room(rays))
@@ -173,7 +173,7 @@ def test_disc_is_seen_through_glass_and_hidden_by_frames() -> None:
     suns = sun.direction([20.0, 20.0, 60.0, 20.0, -5.0], [190.0, 180.0, 180.0, 0.0, 190.0])
     visible, glass = disc_of(OFFICE.room, suns)
     assert visible.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
-    through = float(geometry.glass_optics(0.88, np.cos(np.radians(20)) * np.cos(np.radians(10)))[0])
+    through = float(box_room.glass_optics(0.88, np.cos(np.radians(20)) * np.cos(np.radians(10)))[0])
     assert glass[0] == pytest.approx(through, rel=1e-6)
 
 
@@ -273,7 +273,7 @@ def test_a_room_from_a_file_agrees_with_the_box(tmp_path: Path) -> None:
     """The same room written as .rad (kind "radiance") gives the same patches through
     rtrace.
     """
-    built = geometry.build(BARE)
+    built = box_room.build(BARE)
     path = tmp_path / "room.rad"
     path.write_text(radiance.rad_text(built))
     room = Room(kind="radiance", file=str(path), viewpoint_m=built.camera_m)
@@ -313,7 +313,7 @@ def test_windows_that_fill_a_wall_exactly_are_possible() -> None:
     """1.1 + 2.2 is more than 3.3 in binary numbers."""
     halves = (Window("south", 0.0, 1.1, 0.1, 2.6), Window("south", 1.1, 2.2, 0.1, 2.6))
     room = replace(BARE, width_m=3.3, height_m=2.7, camera_x_m=1.0, camera_z_m=1.2, window=halves)
-    ends = [opening.u_m for opening in geometry.build(room).openings]
+    ends = [opening.u_m for opening in box_room.build(room).openings]
     assert min(end[0] for end in ends) == 0.0 and max(end[1] for end in ends) <= 3.3
 
 

@@ -25,6 +25,7 @@ from fieldlum.core.records import CameraSetup, Exposure, Panorama, Room, SiteFil
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.projection import direction
 from fieldlum.room.scene import sun_patches
+from fieldlum.room.scene.box_room import build
 from fieldlum.room.scene.clicked import (
     Click,
     ClickGrid,
@@ -33,7 +34,6 @@ from fieldlum.room.scene.clicked import (
     room_from_clicks,
 )
 from fieldlum.room.scene.drawing import outline_pixels
-from fieldlum.room.scene.geometry import build
 from fieldlum.session import Session, create_session
 from fieldlum.session.site_toml import load_site
 

@@ -23,7 +23,7 @@ from fieldlum.optics.images import RADIANCE_Y, read_panorama
 from fieldlum.optics.melanopic import sky_xyz
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
-from fieldlum.room.scene import geometry, radiance, radiosity, view
+from fieldlum.room.scene import box_room, radiance, radiosity, view
 from fieldlum.session import open_session
 from fieldlum.session.site_toml import load_site, site_table
 from fieldlum.sky.daylight import Light, light_at
@@ -59,7 +59,7 @@ def _plain_rtrace(setup: SiteFile, light: Light, height: int, pixels: np.ndarray
     import pyradiance
 
     assert setup.room is not None
-    built = geometry.build(setup.room)
+    built = box_room.build(setup.room)
     sky, toward = light.sky, built.to_room(light.apparent_sun_direction[0])
     numbers = [sky.norm_cdm2[0] / 179, sky.ground_cdm2[0] / 179, *sky.shape[0], *toward]
     text = "void brightfunc skyfunc\n2 skybright perezlum.cal\n0\n10 " + " ".join(

@@ -21,7 +21,7 @@ from fieldlum.learn.models.training_data import Dataset, load_pairs, with_sky_vi
 from fieldlum.learn.train import Spent, Trial, day_folds, evaluate_folds, fit_timed, patch_mode
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.room.fit.apply_scene import apply_scene
-from fieldlum.room.scene.geometry import build
+from fieldlum.room.scene.box_room import build
 from fieldlum.room.scene.radiance import octree, rad_text, sun_text, trace
 
 # The errors that every table of the benchmarks has, as named by `models.scores.summary`.

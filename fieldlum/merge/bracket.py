@@ -14,7 +14,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, JsonTable, Panorama
 from fieldlum.merge.project import blend, finish, view_through
 from fieldlum.merge.ratios import Exposures, any_beyond_prior
-from fieldlum.merge.sensor_image import Findings, SensorImage, merge_sensor
+from fieldlum.merge.sensor_frames import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
 from fieldlum.merge.sun_and_sky import MEASURED, sky_cut, sun_on_sensor, take_out_disc
 from fieldlum.optics.images import PICTURE_SUFFIXES, write_picture

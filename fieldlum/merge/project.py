@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Flag, Panorama
-from fieldlum.merge.sensor_image import SensorImage
+from fieldlum.merge.sensor_frames import SensorImage
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
 from fieldlum.optics.linear_light import curve_u_rel, vignetting_of
 from fieldlum.optics.melanopic import ATTRIBUTE as MELANOPIC

@@ -19,7 +19,7 @@ from scipy.ndimage import center_of_mass
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SunSource
 from fieldlum.merge.project import LensView, ProjectedImage, blend, view_through
-from fieldlum.merge.sensor_image import SensorImage
+from fieldlum.merge.sensor_frames import SensorImage
 from fieldlum.optics import projection
 from fieldlum.optics.linear_light import sensor_pitch_deg
 from fieldlum.optics.profiles import Lens

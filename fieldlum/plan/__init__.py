@@ -19,7 +19,7 @@ from fieldlum.optics import profiles
 from fieldlum.plan import capture_days
 from fieldlum.plan.capture_days import Coverage, DaylightHours, today_at
 from fieldlum.plan.sheet import html, ics
-from fieldlum.room.scene.geometry import build
+from fieldlum.room.scene.box_room import build
 from fieldlum.room.scene.trace import disc_visibility, sun_points
 from fieldlum.session import Session, create_session, write_file
 from fieldlum.session.folder import PlanTable

@@ -35,7 +35,7 @@ from fieldlum.optics.projection import (
     signed_angle_deg,
 )
 from fieldlum.report.page import comparison_png, png
-from fieldlum.room.scene.geometry import WALLS, wall_named
+from fieldlum.room.scene.box_room import WALLS, wall_named
 from fieldlum.room.scene.view import traced_view
 from fieldlum.session import Session, write_file
 from fieldlum.session.codec import write_csv

@@ -30,7 +30,7 @@ from fieldlum.optics.projection import direction
 from fieldlum.optics.raw import RAW_SUFFIXES
 from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.room.fit.scene_file import SCENE_TOML, read_scene
-from fieldlum.room.scene.geometry import build
+from fieldlum.room.scene.box_room import build
 from fieldlum.room.scene.radiance import rad_text
 from fieldlum.room.scene.write_honeybee import MODEL_NAME, honeybee_model
 from fieldlum.session import Session, replacing_path, write_file

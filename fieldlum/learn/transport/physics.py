@@ -16,7 +16,7 @@ from fieldlum.core.arrays import Floats32, Mask
 from fieldlum.core.records import Room, Site, SiteFile
 from fieldlum.optics.projection import equirect_solid_angles, wrapped
 from fieldlum.room.scene import build
-from fieldlum.room.scene.geometry import is_box_with_window
+from fieldlum.room.scene.box_room import is_box_with_window
 from fieldlum.room.scene.radiosity import FIRST_PIECE, lit_room
 from fieldlum.room.scene.trace import SunPoints, sun_points
 from fieldlum.sky.daylight import Light, light_at

@@ -13,7 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.room.fit.guess import Bar, Guess, Solid, WindowRect, is_outside
 from fieldlum.room.fit.parameters import Parameter, bar_parameters, solid_parameters
-from fieldlum.room.scene.geometry import WALLS, Span
+from fieldlum.room.scene.box_room import WALLS, Span
 
 # Facades: a farther and higher one gives nearly the same shade, so that a factor of two in distance
 # is fine enough; the angle of elevation decides which suns it hides. Its thickness hardly changes

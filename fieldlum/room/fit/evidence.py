@@ -22,7 +22,7 @@ from fieldlum.room.fit.sunny_hours import (
     direct_on_windows_lx,
     sunny_hours,
 )
-from fieldlum.room.scene.geometry import is_box_with_window
+from fieldlum.room.scene.box_room import is_box_with_window
 from fieldlum.room.scene.view import pixel_rays
 from fieldlum.sky import sun
 from fieldlum.sky.daylight_kernel import Kernel, facades_of, light_features

@@ -12,7 +12,7 @@ from typing import Literal
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Obstruction, Room, Window
 from fieldlum.optics.projection import rotation
-from fieldlum.room.scene.geometry import WALLS, Span, build, room_axes, window_bars
+from fieldlum.room.scene.box_room import WALLS, Span, build, room_axes, window_bars
 
 # thinner ones only explain noise; chosen
 _THIN_SOLID_M, _THIN_BAR_M = 0.04, 0.01

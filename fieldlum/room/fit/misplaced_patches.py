@@ -19,7 +19,7 @@ from fieldlum.room.fit.evidence import COARSE_PIXELS, scene_evidence
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import room_parameters, stated_albedo
 from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
-from fieldlum.room.scene.geometry import is_box_with_window
+from fieldlum.room.scene.box_room import is_box_with_window
 
 MIN_HOURS = 3  # sunny captures that a test needs; chosen
 SURE = 3.0  # smallest ratio of a correction to its standard uncertainty; chosen

@@ -9,7 +9,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Room
 from fieldlum.room.fit.guess import Guess, is_outside
-from fieldlum.room.scene.geometry import WALLS
+from fieldlum.room.scene.box_room import WALLS
 
 # Standard deviations of values measured with a tape measure and a compass (docs/scene.md).
 NORTH_SD_DEG, CLOCK_SD_MIN, LEVEL_SD_DEG = 2.0, 5.0, 0.3

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.room.fit.guess import Guess
-from fieldlum.room.scene.geometry import WALLS, glass_optics
+from fieldlum.room.scene.box_room import WALLS, glass_optics
 from fieldlum.room.scene.trace import EPSILON_M, HARD_M, add_through, nearest_box
 
 Float32 = NDArray[np.float32]

@@ -19,7 +19,7 @@ from fieldlum.core.records import Room, Window
 from fieldlum.core.strict_csv import read_table
 from fieldlum.core.strict_toml import convert
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_pixel
-from fieldlum.room.scene.geometry import FROM_HIGH_END, WALLS, room_axes
+from fieldlum.room.scene.box_room import FROM_HIGH_END, WALLS, room_axes
 
 # standard uncertainty of a careful click on a zoomed picture; chosen, not measured with people
 CLICK_PX = 0.5

@@ -14,8 +14,8 @@ import numpy as np
 from fieldlum.core.plot_style import BLUE, GRID, INK, PALE, RED, styled, svg_of
 from fieldlum.core.records import Room, SiteFile
 from fieldlum.optics.projection import compass_name
+from fieldlum.room.scene.box_room import WALL_TURN_DEG, WALLS, build, upright
 from fieldlum.room.scene.clicked import ClickGrid
-from fieldlum.room.scene.geometry import WALL_TURN_DEG, WALLS, build, upright
 from fieldlum.session import write_file
 
 if TYPE_CHECKING:

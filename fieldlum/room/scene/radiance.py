@@ -16,7 +16,7 @@ from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y
-from fieldlum.room.scene.geometry import BoxScene, transmissivity, upright
+from fieldlum.room.scene.box_room import BoxScene, transmissivity, upright
 from fieldlum.room.scene.trace import SUN_RADIUS_DEG
 from fieldlum.room.scene.view import patch_rays, pixel_rays
 

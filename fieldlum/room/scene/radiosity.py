@@ -21,7 +21,7 @@ from fieldlum.core.records import Panorama, Room, SiteFile, SunSource
 from fieldlum.optics import images, melanopic
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.room.scene import trace
-from fieldlum.room.scene.geometry import BoxScene
+from fieldlum.room.scene.box_room import BoxScene
 from fieldlum.room.scene.view import SceneView, SurfaceSamples, patch_rays, traced_view
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import reinhart_index, reinhart_patches

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.compiled import compiled
-from fieldlum.room.scene.geometry import Box, BoxScene, glass_optics, upright
+from fieldlum.room.scene.box_room import Box, BoxScene, glass_optics, upright
 
 EPSILON_M = 1e-4  # points are lifted by multiples of this above their surface, to miss it; chosen
 _GRAZING = 1e-6  # cosine; chosen: a sun 0.00006 degrees above a surface

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.records import Room
 from fieldlum.optics.projection import direction, rotation
-from fieldlum.room.scene.geometry import BoxScene, build
+from fieldlum.room.scene.box_room import BoxScene, build
 from fieldlum.room.scene.trace import SUN_RADIUS_DEG, SunPoints, ray_ends, sun_points
 
 # In each direction of a pixel, for sun patches: with 3 they had an error of 1.0e-4 to 1.6e-4 (log10

@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldlum.core.records import Room
 from fieldlum.optics.projection import direction
-from fieldlum.room.scene.geometry import (
+from fieldlum.room.scene.box_room import (
     INDEX,
     WALLS,
     Box,
