@@ -73,6 +73,8 @@ def answer_of(scene: Scene) -> JsonTable:
     return {
         **{name: getattr(scene, name) for name in same},
         **{name: scene.misfit.get(key) for name, key in misfits.items()},
+        # of earlier versions; `train --json` states them
+        **dict.fromkeys(("expected_log10_mse", "trusted_share")),
         "camera_m": [room.camera_x_m, room.camera_y_m, room.camera_z_m],
         "window": [{name: getattr(window, name) for name in names} for window in room.window],
         "notes": list(scene.notes),

@@ -225,7 +225,7 @@ ZERO_OFFSET_WM2 = 2.0  # of a horizontal reading (ISO 9060, zero offset B of cla
 CLEAR_SUN_DEG = 10.0
 # Global of clear hours over that of pvlib's cloudless sky, median: 0.99 to 1.10 in three months of
 # DTU's station and in four weather files. Haze and snow change it by 0.1. Chosen around these.
-_CLEAR_RATIO = (0.85, 1.2)
+_CLEAR_RATIO = (0.75, 1.2)
 
 
 @contextmanager
