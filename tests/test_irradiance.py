@@ -425,10 +425,14 @@ def test_what_most_rows_by_day_have_in_common_is_told(ghi: float, dhi: float, sa
 
 @pytest.mark.analytic
 @pytest.mark.parametrize(
-    ("scale", "warned"), [(0.12, True), (0.6, True), (1.0, False), (1.3, True)]
+    ("scale", "warned"),
+    [(0.12, True), (0.6, True), (0.7, True), (0.8, False), (1.0, False), (1.3, True)],
 )
 def test_clear_hours_show_a_wrong_sensitivity_or_unit(scale: float, warned: bool) -> None:
-    """Global and diffuse in klx (0.12), or by a wrong sensitivity; also under broken clouds."""
+    """Global and diffuse in klx (0.12), or by a wrong sensitivity; also under broken clouds.
+
+    Haze has 0.8 as well: no warning.
+    """
     times = [datetime(2027, 6, 21, 15, tzinfo=UTC) + timedelta(minutes=i) for i in range(480)]
     sky = sun.clearsky(times, SEATTLE)
     cloud = np.where(np.arange(480) % 3 == 0, 0.1, 1.0)  # of the beam

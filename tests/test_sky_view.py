@@ -612,14 +612,30 @@ def test_pictures_in_another_unit_are_told_by_the_sky_in_the_window(
 ) -> None:
     """W/sr/m2 taken for cd/m2 are 179 times too dark; no glass makes the sky brighter.
 
-    A camera that sees no window sees surfaces that follow the sky a little: nothing is told. Ten
-    times too dark may be tinted glass: it is a note.
+    A camera that sees no window sees surfaces that follow the sky a little: there is no warning.
+    Ten times too dark may be tinted glass: it is a note.
     """
     share = np.full((32, 32), 0.02)
     share[10:22, 10:22] = openness
     notes = " ".join(_view(factor * _pictures(share, foreground=0.0 * SKY)).notes)
     assert text in notes
     assert text or "luminance" not in notes
+
+
+@pytest.mark.property
+def test_few_captures_leave_open_what_many_decide() -> None:
+    """A bright wall in light that varies by a fifth."""
+    share = np.zeros((32, 32))
+    share[4:28, 3:14] = 1.0
+    flicker = np.random.default_rng(2).lognormal(0.0, 0.2, SKY.shape)
+    wall = 0.8 * _shade() * flicker
+    pictures = _pictures(share, foreground=wall)
+    few = np.arange(0, len(LIGHT), len(LIGHT) // 8)[:8]
+    many, little = _view(pictures), _view(pictures, rows=few)
+    assert np.median(many.high[6:26, 18:30]) == 0.0
+    assert np.median(little.high[6:26, 18:30]) > 0.5
+    assert "8 captures give a first look" in " ".join(little.notes)
+    assert "first look" not in " ".join(many.notes)
 
 
 @pytest.mark.analytic

@@ -128,7 +128,8 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
         if uri:
             try:
                 with suppress(DeviceError):  # opening the device reports it
-                    permit(*filter(None, [permission_subject(uri)]))
+                    if wanted := permission_subject(uri):
+                        permit(wanted)
             except OSError as error:
                 say(f"note: could not store that you permit {uri} ({error}): name it again")
         elif uri is None and stored.get(name):

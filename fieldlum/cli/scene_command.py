@@ -62,9 +62,10 @@ def fit(
 def answer_of(scene: Scene) -> JsonTable:
     """Return the object that `scene fit --json` prints.
 
-    The names of `Scene`: north_deg, clock_min, u, chosen, verdict, trusted, hours,
-    notes. misfit_before, misfit_after, misfit_none: of the stated room, the
-    fitted room and no patch; camera_m: x, y, z; window: wall, left_m, width_m, sill_m, height_m.
+    The names of `Scene`: north_deg, clock_min, u, chosen, verdict, trusted, hours, notes.
+    misfit_before, misfit_after, misfit_none: of the stated room, the fitted room and no patch;
+    camera_m: x, y, z; window: wall, left_m, width_m, sill_m, height_m. expected_log10_mse,
+    trusted_share: None; `train --json` has them.
     """
     room = scene.room
     names = ("wall", "left_m", "width_m", "sill_m", "height_m")
@@ -73,7 +74,7 @@ def answer_of(scene: Scene) -> JsonTable:
     return {
         **{name: getattr(scene, name) for name in same},
         **{name: scene.misfit.get(key) for name, key in misfits.items()},
-        # of earlier versions; `train --json` states them
+        # keys of earlier versions, which scripts may read
         **dict.fromkeys(("expected_log10_mse", "trusted_share")),
         "camera_m": [room.camera_x_m, room.camera_y_m, room.camera_z_m],
         "window": [{name: getattr(window, name) for name in names} for window in room.window],

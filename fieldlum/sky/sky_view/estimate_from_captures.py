@@ -51,8 +51,8 @@ _DISC_U = 0.15  # of a captured disc over that of the view, by edges and the bea
 # a direction follows the sky, and above which it does not. Sky reaches 0.3, sunlit facades 1.0
 # (rooms of docs/sky-view.md).
 _FOLLOWS, _FOLLOWS_NOT = 0.5, 1.0
-# A direction with as many captures is doubted twice as much as with many (docs/validation.md).
-# Chosen.
+# With so many captures the limits for what may be sky are twice those with very many
+# (docs/validation.md). Chosen.
 _FEW_CAPTURES = 12
 # Shares of the brightest ratio: of a pane at least (interior surfaces reach 0.2 in the rooms of
 # docs/sky-view.md, but do not follow the sky; a darker pane has bounds); of what scatters; and of
@@ -490,11 +490,10 @@ def _bounds(
 
 
 def _notes_on_level(level: float, stack: _Stack) -> list[str]:
-    """Return a warning if `level`, the brightest sky over the expected one, is that of no glass.
+    """Return a warning if no glass passes `level`, and a note if only dark glass does.
 
-    It is a note if only dark glass has that level.
-
-    Merge cuts out bright places only: its pictures (`dark`) do not show a window's contrast.
+    level: luminance of the brightest sky in the window over the expected one. Merge cuts out
+    bright places only: its pictures (`dark`) do not show a window's contrast.
     """
     if len(stack.light) < MIN_CAPTURES:
         return []

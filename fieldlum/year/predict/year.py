@@ -348,14 +348,13 @@ def _differences(
 def is_model_outdated(session: Session, config: ModelConfig, view: SkyView | None) -> bool:
     """Return whether a session's pictures, irradiance or times are not those of a model's training.
 
-    The inputs of both sky views decide; captures that were added since do not count. view: the
-    model's; one that was computed from other captures than the model (train --sky-view) proves
-    nothing.
+    The inputs of both sky views decide. Captures that were added since do not count. view: of the
+    model; if it was computed from other captures (train --sky-view), the answer is False.
     """
     own = SkyView.find(session.sky_view)
     if own is None or view is None or not view.inputs:
         return False
-    known = set(view.inputs["captures"])
+    known = set(view.inputs.get("captures", ()))
     if not set(config.training.slots) <= known:
         return False
     added = set(own.inputs.get("captures", ())) - known
@@ -365,7 +364,7 @@ def is_model_outdated(session: Session, config: ModelConfig, view: SkyView | Non
 def is_current(session: Session, annual: Annual) -> bool:
     """Return whether a year's model is the present one, and is of the session as it is now.
 
-    It is True if the model is not in the session any more, so that this cannot be decided.
+    It is also True if the session does not have the model any more: then nothing can be compared.
     """
     used = annual.summary.inputs
     folder = session.models / str(used["model"])
