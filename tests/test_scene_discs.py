@@ -75,7 +75,9 @@ def test_an_open_clock_leaves_a_valley_and_no_wrong_north() -> None:
     )
     # A late clock with the pose that follows it costs what the priors of clock and level cost: a
     # minute goes with 0.17 degrees of roll. Without the pose it contradicts the discs.
-    late = prior.at_clock(start, 1.5)
+    slopes = prior.covariance[:3, 3] / prior.covariance[3, 3]
+    pose_late = [*(prior.values[:3] + slopes * (1.5 - prior.values[3])), 1.5]
+    late = replace(prior, values=np.array(pose_late)).applied(start)
     assert late.clock_min == 1.5 and abs(late.north_deg - NORTH_DEG) > 0.1
     assert np.sum(prior.deviations(late) ** 2) < (0.17 * 1.5 / LEVEL_SD_DEG) ** 2 + 0.5
     assert np.sum(prior.deviations(replace(start, clock_min=1.5)) ** 2) > 12.0

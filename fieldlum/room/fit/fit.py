@@ -21,7 +21,6 @@ from fieldlum.room.fit.evidence import PIXELS, SceneEvidence, scene_evidence
 from fieldlum.room.fit.guess import Guess, guess_of, room_of
 from fieldlum.room.fit.parameters import (
     CLOCK_SD_MIN,
-    SUN_DEG_PER_MIN,
     all_parameters,
     glass_parameters,
     room_parameters,
@@ -29,15 +28,11 @@ from fieldlum.room.fit.parameters import (
 )
 from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
-from fieldlum.room.fit.window_view import window_view
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.training_data import Dataset
     from fieldlum.room.fit.pose_prior import PosePrior
 
-# Clocks from which searches start if their uncertainty is over a minute: slightly beyond the
-# prior's 5 minutes; chosen.
-START_CLOCKS_MIN, OPEN_CLOCK_MIN = (-6.0, 0.0, 6.0), 1.0
 # Rounds of proposals, and proposals of a kind that are searched in each; chosen, for time.
 MAX_ROUNDS, _SEARCHED = 4, 6
 SURE = 1.0  # standard errors over hours by which an element lowers the cost; chosen
@@ -107,19 +102,14 @@ class SceneSearch:
         self.data, self.room, self.pose = data, room, pose
         self.evidence = scene_evidence(data, room, pixels=pixels)
         self.start = self.guess = guess_of(room, data.heading_deg)
-        self.view = window_view(data, self.start)
         self.parameters = room_parameters(self.start, clock_sd_min) + glass_parameters(self.start)
-        clock_u_min = clock_sd_min if pose is None else float(pose.covariance[3, 3]) ** 0.5
-        self.clocks_min = START_CLOCKS_MIN if clock_u_min > OPEN_CLOCK_MIN else ()
         self.albedo = self.evidence.albedos(self.start, stated_albedo(room))
         self.unit = prior_unit(self.evidence, self.start, self.albedo)
 
     def cost(self, *, coarse: bool = False) -> SceneCost:
         """Return the function that computes a guess's cost; coarse: at fewer pixels, for speed."""
         evidence = self.evidence.coarse() if coarse else self.evidence
-        return SceneCost(
-            evidence, self.start, self.parameters, self.albedo, self.unit, self.pose, self.view
-        )
+        return SceneCost(evidence, self.start, self.parameters, self.albedo, self.unit, self.pose)
 
     def run(self, step: Callable[[int, str], None], kinds: Sequence[Kind] = KINDS) -> Guess:
         """Search everything from the stated box; the state becomes the result's.
@@ -127,9 +117,8 @@ class SceneSearch:
         step: called with the progress in percent and its name. kinds: of elements that are tried.
         """
         step(10, "box and clock")
-        cost = self.cost(coarse=True)
-        tries = [search(cost, start, self.parameters) for start in self._starts()]
-        self._accept(min(tries, key=lambda pair: pair[1])[0])
+        start = self.start if self.pose is None else self.pose.applied(self.start)
+        self._accept(search(self.cost(coarse=True), start, self.parameters)[0])
         self._search_all()
         self._prune(kinds)
         for number in range(MAX_ROUNDS):
@@ -148,20 +137,6 @@ class SceneSearch:
         """Search all parameters again; the light without direct sun is that of the last guess."""
         parameters = all_parameters(self.guess, self.parameters)
         self._accept(search(self.cost(), self.guess, parameters, levels)[0])
-
-    def _starts(self) -> list[Guess]:
-        """Return the stated box at each clock, with a pose to match.
-
-        With discs of the sun the pose is the most likely one for this clock; without, north
-        decreases by 0.25 degrees a minute, so that noon patches stay.
-        """
-        if self.pose is not None:
-            pose = self.pose
-            return [pose.at_clock(self.start, c) for c in self.clocks_min or [pose.values[3]]]
-        return [
-            replace(self.start, clock_min=c, north_deg=-SUN_DEG_PER_MIN * c)
-            for c in self.clocks_min or [0.0]
-        ]
 
     def _with_more(self, kinds: Sequence[Kind]) -> Guess:
         """Return the guess with more elements: all of the best proposals that pay together.

@@ -41,12 +41,9 @@ class PosePrior:
         off = np.array([getattr(guess, name) for name in POSE_NAMES]) - self.values
         return np.linalg.solve(np.linalg.cholesky(self.covariance), off)
 
-    def at_clock(self, guess: Guess, clock_min: float) -> Guess:
-        """Return the guess with clock_min set, and the most likely north, tilt and roll for it."""
-        slopes = self.covariance[:3, 3] / self.covariance[3, 3]
-        pose = self.values[:3] + slopes * (clock_min - self.values[3])
-        fields = dict(zip(POSE_NAMES, (*map(float, pose), float(clock_min)), strict=True))
-        return replace(guess, **fields)
+    def applied(self, guess: Guess) -> Guess:
+        """Return the guess with the mean pose and clock."""
+        return replace(guess, **dict(zip(POSE_NAMES, self.values.tolist(), strict=True)))
 
 
 def pose_of(

@@ -15,7 +15,6 @@ from fieldlum.room.fit.parameters import POSE_NAMES, Parameter
 
 if TYPE_CHECKING:
     from fieldlum.room.fit.pose_prior import PosePrior
-    from fieldlum.room.fit.window_view import WindowView
 
 # Of the stated misfit: what one standard deviation of one number must pay, with `PRIOR_HOURS` sunny
 # hours or more: nine days have 25 to 60. With a quarter of it a room with a blind moved the clock
@@ -43,8 +42,7 @@ class SceneCost:
 
     start: the stated guess; parameters: those that have a prior; albedo: of west, east, south and
     north wall, floor, ceiling [6]; unit: cost of one standard deviation of one parameter; pose:
-    replaces the priors of north, tilt, roll and clock; view: picture of the windows, None to leave
-    it out.
+    replaces the priors of north, tilt, roll and clock.
     """
 
     evidence: SceneEvidence
@@ -53,7 +51,6 @@ class SceneCost:
     albedo: Floats
     unit: float
     pose: PosePrior | None = None
-    view: WindowView | None = None
 
     def __call__(self, guess: Guess) -> float:
         """Return the cost of a guess; infinite for an impossible one."""
@@ -69,17 +66,14 @@ class SceneCost:
     def residuals(self, guess: Guess) -> Floats32 | None:
         """Return numbers [q] whose squares add up to the cost; None for an impossible guess.
 
-        First are those of each hour and pixel, then the priors, then the windows' view.
+        First are those of each hour and pixel, then the priors.
         """
         if not is_possible(guess):
             return None
         patch = self.evidence.patches(guess, self.albedo)
         error = np.log(self.evidence.below + patch) - self.evidence.log_seen
         misfit = error / np.sqrt((error**2 + np.float32(WIDTH**2)) * np.float32(error.size))
-        parts = [misfit.ravel(), self.prior(guess)]
-        if self.view is not None:
-            parts.append(self.view.residuals(guess))
-        return np.concatenate(parts).astype(np.float32)
+        return np.concatenate([misfit.ravel(), self.prior(guess)]).astype(np.float32)
 
     def prior(self, guess: Guess) -> Floats:
         """Return deviations [q] from the stated numbers, whose squares are their cost.
