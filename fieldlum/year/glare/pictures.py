@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import FieldlumError, InputError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import Panorama, SunSource
@@ -383,17 +383,11 @@ def panorama_to_fisheye(
     A pixel is the mean of samples of the panorama, fine enough for both grids, so that the flux is
     preserved. Pixels outside the circle are 0.
     """
-    height, width = luminance_cdm2.shape
     view = parse_view(FISHEYE_VIEW, Path(), azimuth_deg)
-    samples = max(2, int(np.ceil(2.0 * height / size)))
-    y, x = picture_centres(size * samples, size * samples)
-    rays = picture_rays(view, x, y)[0]
-    inside = rays[..., 2] > 0.0
-    place = altitude_azimuth_deg(rays[inside] @ view.frame)
-    row, column = equirect_pixel(*place, height, width, heading_deg)
-    row, column = np.minimum(row, height - 1), np.minimum(column, width - 1)
+    inside, index = _fisheye_samples(*luminance_cdm2.shape, heading_deg, azimuth_deg, size)
     values = np.zeros(inside.shape, np.float32)
-    values[inside] = luminance_cdm2[row.astype(int), column.astype(int)]
+    values[inside] = luminance_cdm2.ravel()[index]
+    samples = len(inside) // size
     cells = (size, samples, size, samples)
     shares = inside.reshape(cells).sum(axis=(1, 3))
     picture = values.reshape(cells).sum(axis=(1, 3)) / np.maximum(shares, 1)
@@ -402,6 +396,26 @@ def panorama_to_fisheye(
     if sun is not None:
         picture += disc_pixels(picture_views(view, size, size), picture.shape, sun)
     return picture.astype(np.float32)
+
+
+@lru_cache(maxsize=10)  # ten directions of 800 pixels: 130 MB
+def _fisheye_samples(
+    height: int, width: int, heading_deg: float, azimuth_deg: float, size: int
+) -> tuple[Mask, Indices]:
+    """Return which of the samples of a fisheye are in front, [k size, k size], and their pixels.
+
+    The pixels are places in the flattened panorama [height, width]; the rest is as for
+    `panorama_to_fisheye`.
+    """
+    samples = max(2, int(np.ceil(2.0 * height / size)))
+    y, x = picture_centres(size * samples, size * samples)
+    view = parse_view(FISHEYE_VIEW, Path(), azimuth_deg)
+    rays = picture_rays(view, x, y)[0]
+    inside = rays[..., 2] > 0.0
+    place = altitude_azimuth_deg(rays[inside] @ view.frame)
+    row, column = equirect_pixel(*place, height, width, heading_deg)
+    row, column = np.minimum(row, height - 1), np.minimum(column, width - 1)
+    return inside, row.astype(np.int32) * width + column.astype(np.int32)
 
 
 def disc_pixels(views: Views, shape: tuple[int, int], sun: SunSource) -> Floats32:
