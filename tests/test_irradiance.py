@@ -21,12 +21,12 @@ from fieldlum.pair import irradiance
 from fieldlum.pair.irradiance import (
     Mark,
     check,
-    derive,
     health,
     local_period_s,
     minute_means,
     series_of,
     sky_geometry,
+    with_dirint,
 )
 from fieldlum.session import DayFiles, Session, create_session, day_files, open_session
 from fieldlum.sky import log_clock_offset, sun
@@ -274,7 +274,7 @@ def test_lone_global_is_decomposed_and_says_so() -> None:
         [IrradianceSample(t, ghi_wm2=float(g)) for t, g in zip(times, sky.ghi_wm2, strict=True)]
     )
     altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
-    found = derive(check(series, altitude, top), altitude, SEATTLE)
+    found = with_dirint(check(series, altitude, top), altitude, SEATTLE)
     assert (found.marks & Mark.DERIVED).all()
     assert float(np.sqrt(np.mean((found.dni_wm2 - sky.dni_wm2) ** 2))) < 92.0
     beam = found.dni_wm2 * np.sin(np.radians(altitude))
@@ -376,7 +376,7 @@ def test_global_alone_without_neighbours_is_not_decomposed(tmp_path: Path) -> No
         [IrradianceSample(NOON + timedelta(hours=i), ghi_wm2=700.0 + i) for i in range(3)]
     )
     altitude, top = sky_geometry(lone.t_unix_s, SEATTLE)
-    found = derive(check(lone, altitude, top), altitude, SEATTLE)
+    found = with_dirint(check(lone, altitude, top), altitude, SEATTLE)
     assert np.isnan(found.dni_wm2).all() and np.isnan(found.dhi_wm2).all()
     told = health(lone, found, altitude, top, 0, SEATTLE).warnings
     assert told == (
@@ -419,7 +419,7 @@ def test_rows_of_one_moment_that_differ_are_marked() -> None:
 def test_what_most_rows_by_day_have_in_common_is_told(ghi: float, dhi: float, said: str) -> None:
     series = series_of([at(5.0 * i, ghi * (1 + 1e-4 * (i % 7)), dhi) for i in range(50)])
     altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
-    found = derive(check(series, altitude, top), altitude, SEATTLE)
+    found = with_dirint(check(series, altitude, top), altitude, SEATTLE)
     assert any(said in text for text in health(series, found, altitude, top, 0, SEATTLE).warnings)
 
 
@@ -555,7 +555,7 @@ def test_the_share_of_rows_that_close_is_printed() -> None:
     altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
     dni = (800.0 - 150.0) / np.sin(np.radians(altitude))
     series = replace(series, dni_wm2=dni)
-    found = derive(check(series, altitude, top), altitude, SEATTLE)
+    found = with_dirint(check(series, altitude, top), altitude, SEATTLE)
     told = health(series, found, altitude, top, 0, SEATTLE)
     assert told.closure_pass is not None
     assert told.closure_pass == pytest.approx(2 / 3, abs=0.01)  # the edge moves by half a minute

@@ -101,7 +101,11 @@ def test_a_plan_that_a_spreadsheet_spoilt_is_refused(
 )
 @settings(deadline=None)
 def test_exposure_text_round_trips(shutter: float, f_number: float, iso: int, nd: str) -> None:
-    back = parse_exposure(exposure_text(Exposure(shutter, f_number, iso, nd)))
+    text = exposure_text(Exposure(shutter, f_number, iso, nd))
+    for wrong in (f"{text} hello", "1/250 f/5.6 ISO100 hello"):
+        with pytest.raises(ValueError):
+            parse_exposure(wrong)
+    back = parse_exposure(text)
     assert back.shutter_s == pytest.approx(shutter, rel=2e-5)
     assert back.f_number == pytest.approx(f_number, rel=1e-5)
     assert (back.iso, back.nd) == (iso, nd)

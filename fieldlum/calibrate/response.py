@@ -284,7 +284,7 @@ def _is_steady(codes: NDArray[np.uint8], log_exposure: Floats) -> Mask:
     """
     steady = np.ones(len(codes), bool)
     for own in codes.transpose(2, 0, 1) if len(codes) >= _MIN_PLACES else ():
-        scatter = residuals(fit_response(own, log_exposure)[0], own, log_exposure)
+        scatter = place_variances(fit_response(own, log_exposure)[0], own, log_exposure)
         steady &= ~(scatter > _MAX_SCATTER**2 * np.nanmedian(scatter))
     return steady
 
@@ -322,7 +322,9 @@ def _spread_indices(level: Floats, count: int) -> Indices:
 # fit
 
 
-def residuals(table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int = LOW) -> Floats:
+def place_variances(
+    table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int = LOW
+) -> Floats:
     """Return for each place the variance of ln(z / exposure) over its frames, [places].
 
     With the right table it contains only noise, because the light of a place is the same in all
@@ -338,7 +340,7 @@ def residuals(table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int =
 def _off_mean(table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int) -> Floats:
     """Return ln of each frame's light less its mean over the frames, [places, frames].
 
-    Arguments as in `residuals`. NaN for codes and places that do not count.
+    Arguments as in `place_variances`. NaN for codes and places that do not count.
     """
     counts = (codes >= low) & (codes <= HIGH)
     counts &= counts.sum(axis=1, keepdims=True) >= 2
@@ -370,7 +372,9 @@ def fit(places: Places) -> ResponseFit:
         return [fit_response(codes[rows, :, c], log_e, smooth=model)[0] for c in range(3)]
 
     def misfit(_: str | float, tables: list[Floats], held: Mask) -> Floats:
-        of_colours = [residuals(t, codes[held, :, c], log_e, low) for c, t in enumerate(tables)]
+        of_colours = [
+            place_variances(t, codes[held, :, c], log_e, low) for c, t in enumerate(tables)
+        ]
         count = np.isfinite(of_colours).sum(axis=0)
         total = np.nansum(of_colours, axis=0)
         return np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)

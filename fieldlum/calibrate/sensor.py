@@ -205,15 +205,19 @@ def fit(levels: Levels) -> LinearityFit:
     )
 
 
-def _residuals(solution: Floats, levels: Levels, rows: Mask, of: Mask) -> Floats:
-    """Return ln(corrected light / time) of frames `of`, minus each block's mean over `rows`."""
+def _residuals(solution: Floats, levels: Levels, fitted: Mask, judged: Mask) -> Floats:
+    """Return ln(corrected light / time), minus each block's mean over the `fitted` frames.
+
+    solution: offset of the exposure times [s], then the polynomial's coefficients; fitted, judged:
+    masks of the frames. The result is of the judged frames and of all blocks [j, b].
+    """
     with np.errstate(invalid="ignore"):
         light = np.log(levels.share * linearity_factor(levels.share, tuple(solution[1:])))
     off = light - np.log(levels.seconds + solution[0])[:, None]
-    weight = np.where(np.isfinite(levels.share), levels.weight, 0.0)[rows]
+    weight = np.where(np.isfinite(levels.share), levels.weight, 0.0)[fitted]
     total = weight.sum(axis=0)
-    mean = (np.nan_to_num(off[rows]) * weight).sum(axis=0)
-    return (off - np.divide(mean, total, out=np.full(len(total), np.nan), where=total > 0))[of]
+    mean = (np.nan_to_num(off[fitted]) * weight).sum(axis=0)
+    return (off - np.divide(mean, total, out=np.full(len(total), np.nan), where=total > 0))[judged]
 
 
 def _solve(levels: Levels, rows: Mask, order: int) -> tuple[Floats, Floats]:

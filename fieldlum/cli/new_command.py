@@ -44,7 +44,7 @@ def command(
 
     Options:
       --camera PROFILE: Write an own camera profile instead, which starts from this one.
-      --photo FRAME: With --camera: frame with size and camera.
+      --photo FRAME: With --camera: a frame of it, which states its size and model.
     """
     from fieldlum.session.site_toml import load_site
 

@@ -88,7 +88,10 @@ class Device:
 
 
 class Camera(Device, ABC):
-    """A camera that takes one frame at a time; a driver overrides what its camera can do.
+    """A camera that takes one frame at a time.
+
+    A driver writes `expose`, and `close` if it holds anything open, and overrides what its camera
+    can do besides.
 
     info : what the camera reports about itself.
     """

@@ -189,12 +189,15 @@ def parse_table(
 
 
 def _toa5(path: Path, text: str) -> _Table:
-    """Return a TOA5 table; its last line is damaged if it does not end with a line feed."""
+    """Return a TOA5 table; its last line is damaged if it does not end with a line feed.
+
+    Raises InputError for a header of other than four lines, or without a unit for each column.
+    """
     lines = text.replace("\r\n", "\n").split("\n")
     heads: list[list[str]] = []
     with suppress(ValueError):
         heads = [strict_csv.split_row(line, padded=False) for line in lines[:4]]
-    if len(heads) < 4 or heads[3][0][:1].isdigit():
+    if len(heads) < 4 or heads[3][0][:1].isdigit():  # the fourth line is a row of data
         found = "no complete TOA5 header in the first four lines"
         expected = "four header lines of a Campbell Scientific TOA5 table"
         raise InputError(path, found, expected, "copy the file from the logger again")
@@ -207,7 +210,7 @@ def _toa5(path: Path, text: str) -> _Table:
     if lines.pop():
         cut = (f"line {len(lines) + 1}: the line does not end with a line feed",)
     body = [(n, line) for n, line in enumerate(lines[4:], start=5) if line.strip()]
-    return _Table(names, units, body, True, cut)
+    return _Table(names, units, body, is_logger=True, cut=cut)
 
 
 def _csv(path: Path, text: str) -> _Table:

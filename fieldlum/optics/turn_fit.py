@@ -22,10 +22,10 @@ class Contrasts:
     values: Floats
     group: Indices
 
-    def removed(self, column: Floats, weights: Floats) -> Floats:
-        """Return a column [m] without its weighted regression on the values of each group.
+    def residual_of(self, column: Floats, weights: Floats) -> Floats:
+        """Return what is left of a column [m] without each group's own multiple of `values`.
 
-        weights: [m], at least 0.
+        The multiples are by weighted least squares.         weights: [m], at least 0.
         """
         along = np.bincount(self.group, weights * self.values * column)
         norm = np.bincount(self.group, weights * self.values**2)
@@ -57,8 +57,8 @@ def fit_turn(
     for _ in range(4):
         used = robust
         if contrasts is not None:
-            columns = np.stack([contrasts.removed(c, used) for c in (design / scale).T], axis=1)
-            values = contrasts.removed(target, used)
+            columns = np.stack([contrasts.residual_of(c, used) for c in (design / scale).T], axis=1)
+            values = contrasts.residual_of(target, used)
         normal = columns.T @ (used[:, None] * columns)
         if np.linalg.cond(normal) > 1e6:  # edges do not determine the unknowns
             return None

@@ -207,14 +207,14 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
     ]
     usable = [k for k, row in enumerate(rows) if row.ok]
     used = ([brackets[k] for k in usable], [rows[k] for k in usable])
-    completed = _with_suns(session, setup, *used, force, scheduler)
+    completed = _complete_suns(session, setup, *used, force, scheduler)
     for k, row in zip(usable, completed, strict=True):
         rows[k] = row
     PairsFile(session.pairs, tuple(rows)).write()
     return rows
 
 
-def _with_suns(
+def _complete_suns(
     session: Session,
     setup: SiteFile,
     brackets: Sequence[BracketInterval],
@@ -222,27 +222,30 @@ def _with_suns(
     force: bool,
     scheduler: Scheduler,
 ) -> list[PairRow]:
-    """Write sky_view.exr and suns.csv, and with a room the patches; return the completed rows."""
+    """Write sky_view.exr and suns.csv, and with a room the patches; return the completed rows.
+
+    Suns that the picture does not measure get that share of DNI which the sky view shows.
+    """
     light = _light(session, brackets, rows)
     expected = zip(light.direct_lx, light.apparent_altitude_deg, strict=True)
-    shown = [
+    sightings = [
         _shown_by(bracket, float(lx), float(altitude))
         for bracket, (lx, altitude) in zip(brackets, expected, strict=True)
     ]
-    view = write_sky_view(session, shown, light, setup.site, force=force)
+    view = write_sky_view(session, sightings, light, setup.site, force=force)
     shares, by_view = shares_of_beam(view, setup.room, light)
     patches = write_patches(session, setup, brackets, light, force, scheduler)
     completed: list[PairRow] = []
     suns: list[SunRow] = []
-    for k, (row, picture, patch) in enumerate(zip(rows, shown, patches, strict=True)):
-        source, caution = picture.sun, picture.caution
+    for k, (row, sighting, patch) in enumerate(zip(rows, sightings, patches, strict=True)):
+        source, caution = sighting.sun, sighting.caution
         if source is not None and not is_measured(source):
             origin = SKY_VIEW if by_view[k] else DNI
             share, beam_lx = float(shares[k]), float(light.direct_lx[k])
             source, more = completed_sun(source, beam_lx, share, origin)
             caution = _joined(caution, more)
         if source is not None:
-            suns.append(SunRow(row.panorama, **asdict(source), bound_lx=picture.recorded_lx))
+            suns.append(SunRow(row.panorama, **asdict(source), bound_lx=sighting.recorded_lx))
         completed.append(replace(row, sunpatch=patch, why=_joined(row.why, caution)))
     write_suns(session.suns, suns)
     return completed

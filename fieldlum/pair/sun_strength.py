@@ -32,7 +32,7 @@ def measured_sun(
         brighter = stated.normal_illuminance_lx > MAX_OVER_DNI * full_normal_lx + FAINT_SUN_LX
         return stated, "the picture's sun is brighter than DNI allows" if brighter else ""
     by_meter = _by_meter(panorama, stated, meter_lx)
-    if by_meter is None or not bound_lx(stated) <= by_meter <= 1.5 * full_normal_lx:
+    if by_meter is None or not min_normal_lx(stated) <= by_meter <= 1.5 * full_normal_lx:
         return stated, ""
     return replace(stated, normal_illuminance_lx=by_meter, origin=METER), ""
 
@@ -53,15 +53,18 @@ def completed_sun(
     """
     unknown = math.isnan(share)
     expected_lx = full_normal_lx * (1.0 if unknown else share)
-    if expected_lx < bound_lx(sun):
+    if expected_lx < min_normal_lx(sun):
         return sun, "DNI gives a weaker sun than the clipped picture shows"
     caution = "the sun was computed from DNI without the glazing: the sky view does not decide it"
     completed = replace(sun, normal_illuminance_lx=expected_lx, origin=origin)
     return completed, caution if unknown else ""
 
 
-def bound_lx(sun: SunSource) -> float:
-    """Return the least illuminance of a sun by its picture [lx]; 0 unless it is clipped."""
+def min_normal_lx(sun: SunSource) -> float:
+    """Return the normal illuminance that a clipped disc has at least [lx].
+
+    0 for a disc that is not clipped: it was measured, so that its picture is no bound.
+    """
     return sun.normal_illuminance_lx if sun.origin == CLIPPED_SUN else 0.0
 
 

@@ -41,7 +41,7 @@ class Region(NamedTuple):
 
 
 def parse_region(text: str) -> Region:
-    """Parse a region such as ``rect:10,20,100,50``; the forms are in `FORMS`.
+    """Parse ``rect:x,y,w,h``, ``circle:x,y,r`` (pixels) or ``cone:AZ,ALT,RADIUS`` (degrees).
 
     Raises ValueError for any other text, and for a radius, width or height that is not above 0.
     """

@@ -85,10 +85,12 @@ class LoggerFileTable(TypedDict, total=False):
 
 
 class SessionTable(TypedDict, total=False):
-    """The content of session.toml, table by table; setup: SITE.toml.
+    """The content of session.toml, table by table.
 
-    capture: grace_s, how late a bracket may start [s]; imported: the frames that were imported, by
-    card folder, with the offset of the camera's clock; logger_files: how each file was read.
+    setup: SITE.toml; plan: what was planned; devices: addresses of camera and instruments;
+    simulation: of simulated light; software: versions by name; capture: grace_s, how late a bracket
+    may start [s]; imported: the frames that were imported, by card folder, with the offset of the
+    camera's clock; logger_files: how each file was read.
     """
 
     setup: dict[str, Any]

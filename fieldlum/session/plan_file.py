@@ -26,14 +26,14 @@ def parse_exposure(text: str) -> Exposure:
 
     Raises ValueError for any other text, and for numbers that are not above 0 and finite.
     """
-    shutter, f_number, iso, *filters = text.split()
-    if not f_number.startswith("f/") or not iso.startswith("ISO"):
+    shutter, f_number, iso, nd = [*text.split(), "ND="][:4]
+    starts = zip((f_number, iso, nd), ("f/", "ISO", "ND="), strict=True)
+    if len(text.split()) > 4 or not all(part.startswith(mark) for part, mark in starts):
         raise ValueError(text)
     seconds = float(shutter.removeprefix("1/"))
     if shutter.startswith("1/") and seconds:
         seconds = 1.0 / seconds
-    nd = filters[0].removeprefix("ND=") if filters else ""
-    stated = {"shutter_s": seconds, "f_number": f_number[2:], "iso": iso[3:], "nd": nd}
+    stated = {"shutter_s": seconds, "f_number": f_number[2:], "iso": iso[3:], "nd": nd[3:]}
     return convert(stated, Exposure)
 
 

@@ -86,7 +86,7 @@ def wrong_axes(
     shown = np.reshape(np.asarray(shown_deg, float), (-1, 2))
     altitude, azimuth = np.reshape(np.asarray(suns_deg, float), (-1, 2)).T
     ahead = signed_angle_deg(azimuth - heading_deg)
-    within_deg = max(_WITHIN_DEG, 2.5 * 180.0 / rows)
+    within_deg = max(_WITHIN_DEG, 2.5 * 180.0 / rows)  # two pixels and a half; chosen
 
     def explained(altitude_deg: Floats, ahead_deg: Floats) -> Mask:
         across = signed_angle_deg(heading_deg + ahead_deg - shown[:, 1])
@@ -100,16 +100,17 @@ def wrong_axes(
     turn_deg = float(np.median(signed_angle_deg(shown[:, 1] - azimuth)))
     true_deg = (heading_deg - turn_deg) % 360.0
     heading = f"set heading_deg = {true_deg:.0f}, if clock and place are right"
-    high = int((elsewhere & (altitude > _LOW_SUN_DEG)).sum())
+    high_suns = int((elsewhere & (altitude > _LOW_SUN_DEG)).sum())
     turned = f"turned by {turn_deg:.0f} degrees"
     # Elsewhere at one time of the day, a mirror, a facade of glass or a lamp shows the same place.
     apart_deg = np.abs(signed_angle_deg(ahead[elsewhere] - ahead[elsewhere][:, None])).max()
-    turns = int(elsewhere.sum()) if apart_deg > 2.0 * within_deg else 0
-    # which captures an explanation is true of, its text, its remedy, and discs that support it
+    turned_suns = int(elsewhere.sum()) if apart_deg > 2.0 * within_deg else 0
+    # which captures an explanation is true of, its text, its remedy, and the number of discs that
+    # support it: none where a mirror would show the same
     explanations = (
-        (explained(altitude, ahead + turn_deg), turned, heading, turns),
-        (explained(-altitude, ahead), "upside down", "exchange top and bottom", high),
-        (explained(-altitude, -ahead), "turned about its axis by 180", "turn it back", high),
+        (explained(altitude, ahead + turn_deg), turned, heading, turned_suns),
+        (explained(-altitude, ahead), "upside down", "exchange top and bottom", high_suns),
+        (explained(-altitude, -ahead), "turned about its axis by 180", "turn it back", high_suns),
         (explained(altitude, -ahead), "mirrored left to right", "mirror the pictures", 0),
     )
     likely = [candidate for candidate in explanations if candidate[0].all()]

@@ -8,7 +8,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -74,6 +74,7 @@ class WeatherTable:
     """
 
     rows: list[WeatherRow]
+    _: KW_ONLY
     typical: bool
     place: Site | None = None
     clock: timedelta = timedelta()
@@ -90,7 +91,7 @@ def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
     first, second = [*(text for _, text in strict_csv.numbered(lines[:50])), "", ""][:2]
     start = f"{path.suffix.lower()}\n{first.lstrip()}\n{second}".replace('"', "")
     read = next(read for pattern, read in FORMATS if re.match(pattern, start))
-    if read not in (_read_csv, _read_cams) and lines[0].startswith("#"):
+    if read not in _BELOW_COMMENTS and lines[0].startswith("#"):
         found = f"a comment above the header '{first[:40]}'"
         raise InputError(path, found, "this format's header in line 1", "remove the comment")
     return read(path, lines, site)
@@ -239,13 +240,14 @@ def _moment(date: Cells, hour: str, minute: str = "0") -> datetime:
 def best_of(tables: Mapping[str, WeatherTable], what: str) -> WeatherTable:
     """Return the table with which the fewest hours contradict the sun, and list the choice.
 
-    tables : the readings of one file by name; what : how the note begins.
+    tables : the readings of one file by name, with a place; what : how the note begins.
     """
     against: dict[str, int] = {}
     for name, table in tables.items():
         times = [row.when - table.clock + table.shift for row in table.rows]
         light = np.nan_to_num([[row.dni, row.dhi] for row in table.rows]).sum(axis=1)
-        place = table.place or Site("", 0.0, 0.0)
+        place = table.place
+        assert place is not None  # sunrise is unknown without one
         ends = ([t + half for t in times] for half in (-_NARROW, _NARROW))
         altitudes = (sun.position(moments, place).altitude_deg for moments in ends)
         against[name] = contradictions(light, *altitudes)
@@ -256,7 +258,7 @@ def best_of(tables: Mapping[str, WeatherTable], what: str) -> WeatherTable:
 
 
 def _best_label(table: WeatherTable) -> WeatherTable:
-    """Return the table with its labels taken as start, middle or end of the hour."""
+    """Return a table that has a place with its labels taken as start, middle or end of the hour."""
     shifts = {"hour starts": _HALF, "hour middles": timedelta(0), "hour ends": -_HALF}
     tables = {name: replace(table, shift=shift) for name, shift in shifts.items()}
     return best_of(tables, "row times taken as")
@@ -293,7 +295,7 @@ def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
         raise InputError(path, cells, "at least 16 cells", "the file is cut: download it again")
     columns = {"ghi": 13, "dni": 14, "dhi": 15}
     rows = _rows(path, found, columns, lambda c: _moment(c[:3], c[3]) - timedelta(hours=1))
-    table = WeatherTable(rows, True, place, clock, _HALF)
+    table = WeatherTable(rows, typical=True, place=place, clock=clock, shift=_HALF)
     comments = [line for line in lines[:header] if line.upper().startswith("COMMENTS")]
     if not (stated := _OFFSET.search("\n".join(comments))):
         return table
@@ -332,7 +334,7 @@ def _read_tmy3(path: Path, lines: list[str], site: Site) -> WeatherTable:
 
     rows = _rows(path, found, _columns(path, names), when, names)
     typical = not one_column or _is_typical(rows) or "Type: Typical" in lines[0]
-    table = WeatherTable(rows, typical, place, clock)
+    table = WeatherTable(rows, typical=typical, place=place, clock=clock)
     return _best_label(table) if one_column else table
 
 
@@ -363,7 +365,8 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
 
     rows = _rows(path, found, _columns(path, headings), when, headings)
     typical = _is_typical(rows) or "TMY" in about.get("source", "").upper()
-    table = WeatherTable(rows, typical, place, clock, _HALF if minutes is None else timedelta())
+    shift = _HALF if minutes is None else timedelta()
+    table = WeatherTable(rows, typical=typical, place=place, clock=clock, shift=shift)
     is_full_hour = minutes is not None and {row.when.minute for row in rows} == {0}
     return _best_label(table) if is_full_hour else table
 
@@ -409,7 +412,7 @@ def _read_wea(path: Path, lines: list[str], site: Site) -> WeatherTable:
     cells = [(k, ",".join(line.split())) for k, line in strict_csv.numbered(lines[6:], 7)]
     found = strict_csv.split_rows(path, cells, 5)
     rows = _rows(path, found, {"dni": 3, "dhi": 4}, lambda c: _moment(("2023", *c[:2]), c[2]))
-    return WeatherTable(rows, True, place, clock)
+    return WeatherTable(rows, typical=True, place=place, clock=clock)
 
 
 def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
@@ -447,11 +450,13 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
     rows = _rows(path, found, columns, when, names)
     if in_plane:
         note = "DNI computed as Gb(i) over the sine of the sun's altitude"
-        return WeatherTable(_normal(rows, place), False, place, notes=(note,))
+        rows = _dni_from_horizontal(rows, place)
+        return WeatherTable(rows, typical=False, place=place, notes=(note,))
     with input_errors(path, "a number of hours", "download the file again", ValueError):
         hours = float(about.get("Irradiance Time Offset (h)", "0"))
     notes = (_moved(hours),) if hours else ()
-    return WeatherTable(rows, True, place, shift=timedelta(hours=hours), notes=notes)
+    shift = timedelta(hours=hours)
+    return WeatherTable(rows, typical=True, place=place, shift=shift, notes=notes)
 
 
 def _read_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
@@ -515,7 +520,7 @@ def _read_open_meteo(path: Path, lines: list[str], site: Site) -> WeatherTable:
         return _stated(cells[0]) + (clock if cells[0].isdecimal() else timedelta())
 
     rows = _rows(path, found, _columns(path, names), when, names)
-    return WeatherTable(rows, False, place, clock, -_HALF)
+    return WeatherTable(rows, typical=False, place=place, clock=clock, shift=-_HALF)
 
 
 def _read_cams(path: Path, lines: list[str], site: Site) -> WeatherTable:
@@ -535,7 +540,8 @@ def _read_cams(path: Path, lines: list[str], site: Site) -> WeatherTable:
         start, _, end = cells[0].partition("/")
         return _stated(start) + (_stated(end) - _stated(start)) / 2
 
-    return WeatherTable(_rows(path, found, _columns(path, names), when, names), False, place)
+    rows = _rows(path, found, _columns(path, names), when, names)
+    return WeatherTable(rows, typical=False, place=place)
 
 
 def _stated(text: str, *, utc: bool = True) -> datetime:
@@ -565,11 +571,11 @@ def _read_solcast(path: Path, lines: list[str], site: Site) -> WeatherTable:
         return _stated(cells[at], utc=False)
 
     rows = _rows(path, found, _columns(path, names), when, names)
-    return WeatherTable(rows, False, shift=-_HALF if is_end else _HALF)
+    return WeatherTable(rows, typical=False, shift=-_HALF if is_end else _HALF)
 
 
-def _normal(rows: Sequence[WeatherRow], place: Site) -> list[WeatherRow]:
-    """Return rows with DNI converted from a horizontal plane to a plane normal to the sun.
+def _dni_from_horizontal(rows: Sequence[WeatherRow], place: Site) -> list[WeatherRow]:
+    """Return rows whose `dni` is the beam on a horizontal plane [W/m2] with DNI and GHI.
 
     Zero with the sun below 2 deg, and at most 1.1 times that of a clear sky with the sun below 10
     deg, as in pvlib.irradiance.dni: near the horizon a small error of time has a large effect.
@@ -620,7 +626,8 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
         return _stated(cells[at[0]])
 
     rows = _rows(path, found, quantities, when, names)
-    return WeatherTable(rows, not dated, place, timedelta() if dated else clock)
+    clock = timedelta() if dated else clock
+    return WeatherTable(rows, typical=not dated, place=place, clock=clock)
 
 
 def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | None, timedelta]:
@@ -656,3 +663,4 @@ FORMATS: tuple[tuple[str, Callable[[Path, list[str], Site], WeatherTable]], ...]
     (r".*\n.*\n(.*ObservationTime\(LST\)|Date \(MM/DD/YYYY\))", _read_tmy3),
     ("", _read_csv),  # the last one: its errors explain the columns
 )
+_BELOW_COMMENTS = (_read_csv, _read_cams)  # their header can be below lines of "#"

@@ -123,10 +123,10 @@ class Guard:
                     added.setdefault(name, value)
             await send(message)
 
-        answer: ASGIApp = self._other_answer(Request(scope)) or self._app
+        answer: ASGIApp = self._refusal_or_cookie(Request(scope)) or self._app
         await answer(scope, receive, secured)
 
-    def _other_answer(self, request: Request) -> Response | None:
+    def _refusal_or_cookie(self, request: Request) -> Response | None:
         """Return a refusal, or what turns the token into a cookie; None to answer the request."""
 
         def refused(status: int, text: str) -> Response:

@@ -412,9 +412,9 @@ def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
 
 
 def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
-    """Return a plane with the energy of its images, and where they are visible."""
+    """Return a plane with the energy of its images, and where they are visible; see `Mirror`."""
     suns, rows = data.light.apparent_sun_direction, np.array([image.row for image in plane.images])
-    full_lx = glass_reflectance(suns @ plane.normal) * data.light.direct_lx  # [n], factor 1
+    full_lx = glass_reflectance(suns @ plane.normal) * data.light.direct_lx  # [n], of a pane
     factors = np.array([image.spot.normal_lx for image in plane.images]) / full_lx[rows]
     # An image is measured if none of its pixels is clipped, moving or filled.
     counts = np.broadcast_to(1.0, data.luminance_cdm2.shape) if data.counts is None else data.counts
@@ -429,8 +429,8 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     front = suns @ plane.normal > np.sin(near_sun_rad(data.shape[0]) / 2.0)
     # An image is twice as bright as any surface that `bright_spots` allows.
     shows = (bright > 2.0 * limit) & front & data.seen.reshape(-1)[at]
-    label = np.flatnonzero(visible | shows)
-    chance, wrong = _chance(data, label, towards[label], at[label], visible[label])
+    judged = np.flatnonzero(visible | shows)
+    chance, wrong = _chance(data, judged, towards[judged], at[judged], visible[judged])
     east, north, up = plane.normal.tolist()
     return Mirror(
         normal=(east, north, up),
@@ -438,7 +438,7 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
         captures=len(rows),
         factor=factor,
         measured=bool(valid.any()),
-        judged=len(label),
+        judged=len(judged),
         wrong=wrong,
         chance=chance,
     )

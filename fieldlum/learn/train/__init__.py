@@ -396,10 +396,11 @@ def _model_sha256(folder: Path) -> str:
 
 
 def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
-    """Return notes on the skies of a light transport model's fit, and on an unused stated room.
+    """Return at most two notes on a light transport model: none for other models.
 
-    data: the captures of the fit. The list is empty without such facts and for other models. patch:
-    with "none" no room is needed.
+    How far the sky in the windows was from the expected one, if windows show the sky; and a warning
+    if the stated room was not used. data: the captures of the fit. patch: with "none" no room is
+    needed.
     """
     notes, captured = [], getattr(getattr(fitted, "fitted", fitted), "captured", None)
     if captured is not None:

@@ -126,7 +126,7 @@ class Transport:
         return int(count + self.projector.size)
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
-        """Predict luminance maps [n, H, W] of the n hours of `light`, with their uncertainty.
+        """Predict luminance maps [n, H, W] cd/m2 of the n hours of `light`, with the sd of log10 L.
 
         Maps do not contain the sun's disc. patch_cdm2 [n, H, W]: luminance of direct sun on
         surfaces, without the disc; required if the model was fitted with sun patches, else not

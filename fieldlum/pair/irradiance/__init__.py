@@ -280,7 +280,7 @@ def minute_means(t_unix_s: Floats, value: Floats) -> tuple[Floats, Floats, NDArr
     return centres, np.insert(means, breaks + 1, np.nan), index
 
 
-def derive(series: Series, altitude: Floats, site: Site) -> Series:
+def with_dirint(series: Series, altitude: Floats, site: Site) -> Series:
     """Fill in DNI and DHI by DIRINT in rows with global irradiance alone; return the series.
 
     DIRINT runs on minute means; the rows of a minute share its result in proportion. altitude: of
@@ -296,8 +296,8 @@ def derive(series: Series, altitude: Floats, site: Site) -> Series:
     # DIRINT uses the change of the light: no result without a value directly before or after.
     finite = np.r_[False, np.isfinite(ghi_minute), False]
     dni_minute[~finite[:-2] & ~finite[2:] & (ghi_minute > 0.0)] = np.nan
-    bright, none = np.nan_to_num(ghi_minute) > 1.0, np.zeros_like(ghi_minute)
-    beam_share = np.divide(dni_minute, ghi_minute, out=none, where=bright)
+    bright, no_beam = np.nan_to_num(ghi_minute) > 1.0, np.zeros_like(ghi_minute)
+    beam_share = np.divide(dni_minute, ghi_minute, out=no_beam, where=bright)
     dni = np.where(alone, beam_share[row_minute] * np.maximum(series.ghi_wm2, 0.0), series.dni_wm2)
     dhi = np.where(alone, sun.dhi_by_closure(series.ghi_wm2, dni, altitude), series.dhi_wm2)
     marks = series.marks | np.where(alone, Mark.DERIVED, 0)
@@ -502,7 +502,7 @@ def run(session: Session, *, force: bool = False) -> Health:
     altitude, top = sky_geometry(raw.t_unix_s, site)
     checked = check(raw, altitude, top)
     checked.marks[:] |= suspicions(checked, altitude, top, site)
-    series = derive(checked, altitude, site)
+    series = with_dirint(checked, altitude, site)
     quality = health(raw, series, altitude, top, damaged, site)
     clean_of(series).write(clean)
     write_object(note, {**asdict(quality), "inputs": inputs})

@@ -202,7 +202,10 @@ class SkyView:
 
     @cached_property
     def _sharp(self) -> tuple[SkyGrid, Floats32]:
-        """Best, low and high on a grid that resolves the disc, with sharp edges, [3, h, w]."""
+        """A grid that resolves the disc, and the share of the beam on it, with sharp edges.
+
+        The share is best, low and high [3, h, w].
+        """
         factor = max(1, int(np.ceil(self.grid.step_deg / _FINE_DEG)))
         maps = np.stack([self.through, self.low, self.high]).astype(np.float32)
         if factor > 1:

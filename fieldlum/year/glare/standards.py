@@ -181,9 +181,10 @@ def _interval(
     ends = []
     bounds = np.stack([uncertainty.minimum, uncertainty.maximum])  # [2, n, d]
     for k in range(DRAWS):
-        year = uncertainty.drawn[k % len(uncertainty.drawn)] - dgp
-        year += uncertainty.u_maps * year_errors(dgp.shape, rng) + u_common * rng.standard_normal()
-        ends.append(exceeded_in_share(np.clip(bounds + year, 0.0, 1.0), occupied_hours))
+        deviation = uncertainty.drawn[k % len(uncertainty.drawn)] - dgp  # of a drawn year
+        deviation += uncertainty.u_maps * year_errors(dgp.shape, rng)
+        deviation += u_common * rng.standard_normal()
+        ends.append(exceeded_in_share(np.clip(bounds + deviation, 0.0, 1.0), occupied_hours))
     lows, highs = np.stack(ends, axis=1)
     return np.percentile(lows, 2.5, axis=0), np.percentile(highs, 97.5, axis=0)
 

@@ -461,9 +461,10 @@ def predict_figures(
     model_folder: the model's; room: its pose and setup; azimuths_deg: of the directions [d]; store:
     of maps, None to write none; melanopic: colours by the captures, None without any; seed: of
     random draws; scheduler: where hours are predicted. A unit of work has 64 hours; the last may
-    have fewer. Raises the errors of `blocks`.
+    have fewer. Raises InputError and FloatingPointError as `blocks`.
     """
     model = model_folder.resolve()
+    # the units' folder, from which workers find the model and the store of the maps
     folder = Path(os.path.commonpath([model, *([store.resolve()] if store else [])]))
     name = model.relative_to(folder).as_posix()
     files = [f for f in ("config.json", "weights.npz", SKY_VIEW) if (model / f).is_file()]

@@ -18,7 +18,7 @@ from fieldlum.sky.sun import hour_of_year, position, standard_date, standard_mid
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 _DAY = re.compile(r"(mon|tues?|wed(nes)?|thu(rs?)?|fri|sat(ur)?|sun)(day)?")
 _HOUR = timedelta(hours=1)
-HOW = (
+EXPECTED = (
     "columns days,start,end (mon-fri,08:00,18:00), or a column occupied with 8760 rows of 0 or 1, "
     "for the hours of local standard time from 1 January 00:00"
 )
@@ -67,12 +67,12 @@ def read_occupancy(path: Path) -> Occupancy:
 
     Raises InputError for a file that cannot be read, or for other content.
     """
-    table = read_table(path, HOW, "write a line of column names and its rows")
+    table = read_table(path, EXPECTED, "write a line of column names and its rows")
     if "occupied" in table.names:
         return _hourly(path, table.rows, table.names.index("occupied"))
     if table.names != ("days", "start", "end"):
         found = f"columns {', '.join(table.names)}"
-        raise InputError(path, found, HOW, "correct the first line")
+        raise InputError(path, found, EXPECTED, "correct the first line")
     periods: list[tuple[int, time, time]] = []
     for number, (days, *times) in table.rows:
         expected = "days and times such as mon-fri,08:00,18:00"
@@ -82,7 +82,7 @@ def read_occupancy(path: Path) -> Occupancy:
                 raise ValueError(f"{times[0]} is not before {times[1]}")
             periods += [(day, start, end) for day in _days(days)]
     if not periods:
-        raise InputError(path, "no period in the file", HOW, "write one row for each period")
+        raise InputError(path, "no period in the file", EXPECTED, "write one row for each period")
     return Occupancy("; ".join(" ".join(row) for _, row in table.rows), tuple(periods))
 
 
@@ -110,7 +110,7 @@ def _hourly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]], column: int
     column: index of that with 0 or 1. Raises InputError for other cells or another number of rows.
     """
     if len(rows) != 8760:
-        raise InputError(path, f"{len(rows)} rows", HOW, "write a row for each hour")
+        raise InputError(path, f"{len(rows)} rows", EXPECTED, "write a row for each hour")
     for number, row in rows:
         if row[column] not in ("0", "1"):
             found = f"line {number}: occupied is '{row[column]}'"
