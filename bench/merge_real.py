@@ -25,7 +25,7 @@ import numpy as np
 from merge_peers import environment
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.response import residuals
+from fieldlum.calibrate.response import place_variances
 from fieldlum.core.records import Flag
 from fieldlum.merge import MergeOptions, files_to_picture
 from fieldlum.merge.estimator import merge_signals
@@ -310,7 +310,7 @@ def _held_out(places: np.ndarray, log_t: np.ndarray, low: int) -> float:
     fold, errors = np.arange(len(places)) % 4, []
     for k in range(4):
         table, _ = fit_response(places[fold != k], log_t, low=low)
-        errors.append(residuals(table, places[fold == k], log_t))
+        errors.append(place_variances(table, places[fold == k], log_t))
     return float(np.sqrt(np.nanmean(np.concatenate(errors))))
 
 

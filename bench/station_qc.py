@@ -19,7 +19,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site
-from fieldlum.pair.irradiance import Mark, Series, check, derive, sky_geometry, suspicions
+from fieldlum.pair.irradiance import Mark, Series, check, sky_geometry, suspicions, with_dirint
 from fieldlum.sky import sun
 
 SUNNY_WM2 = 120.0
@@ -94,7 +94,7 @@ def dirint_row(name: str, raw: Series, site: Site) -> str:
     altitude, top = sky_geometry(raw.t_unix_s, site)
     nothing = np.full(len(raw), np.nan)
     alone = Series(raw.t_unix_s, raw.ghi_wm2, nothing, nothing, np.zeros(len(raw), np.int64))
-    model = derive(check(alone, altitude, top), altitude, site).dni_wm2
+    model = with_dirint(check(alone, altitude, top), altitude, site).dni_wm2
     usable = (altitude > 5.0) & np.isfinite(model + raw.dni_wm2)
     model, truth = np.where(usable, model, np.nan), np.where(usable, raw.dni_wm2, np.nan)
     cells: list[str] = []
