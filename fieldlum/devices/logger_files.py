@@ -32,15 +32,10 @@ _NETCDF = b"CDF"  # first bytes of a classic netCDF file (its format's specifica
 QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
 # Letters of the names of columns of times, of dates and of times of day, without a zone.
 _TIMES = {
-    "stamp": {
-        *("timestamp", "tmstamp", "datetime", "datetimestamp", "referencetimestamp", "messdatum"),
-        *("datumzeit", "dateheure", "horodatage", "日時"),
-    },
-    "date": {"date", "datum", "dato", "fecha", "data", "日期", "日付"},
-    "hour": {
-        *("time", "zeit", "uhrzeit", "heure", "hora", "ora", "tijd", "tid", "czas", "时间", "時刻"),
-        *("lst", "est", "cst", "mst", "pst"),
-    },
+    "stamp": "timestamp tmstamp datetime datetimestamp referencetimestamp messdatum datumzeit "
+    "dateheure horodatage 日時",
+    "date": "date datum dato fecha data 日期 日付",
+    "hour": "time zeit uhrzeit heure hora ora tijd tid czas 时间 時刻 lst est cst mst pst",
 }
 _NAME_ZONE = re.compile(r"[,_(\[]*(?:utc|gmt)([+-]\d\d?(?::?\d\d)?)?[)\]]?$")
 _ZONE = re.compile(r"((utc|gmt)_?)?offset|tz|(time_?)?zone")
@@ -53,14 +48,10 @@ _BAD = re.compile("(?<!no_)(?<!not_)(bad|invalid|fail|error|missing)")  # words 
 # Usual column names in loggers' programs and in ARM's netCDF files, without "avg"; digits,
 # underscores and case are ignored in the comparison.
 _USUAL = {
-    "ghi_wm2": {
-        *("ghi", "global", "slrw", "solarwm", "total", "solarradiation", "globalhorizontal"),
-        "downshorthemisp",
-        "swd",
-    },
-    "dhi_wm2": {"dhi", "diffuse", "dif", "diff", "diffusehorizontal", "downshortdiffusehemisp"},
-    "dni_wm2": {"dni", "direct", "directnormal", "shortdirectnormal", "dir"},
-    "temperature_c": {"ptempc", "airtc", "bodytemp"},
+    "ghi_wm2": "ghi global slrw solarwm total solarradiation globalhorizontal downshorthemisp swd",
+    "dhi_wm2": "dhi diffuse dif diff diffusehorizontal downshortdiffusehemisp",
+    "dni_wm2": "dni direct directnormal shortdirectnormal dir",
+    "temperature_c": "ptempc airtc bodytemp",
 }
 
 
@@ -266,7 +257,7 @@ def _kind_of_time(name: str) -> str:
     word = re.sub(r"[(\[][^()]*[)\]]$|\W|_", "", _NAME_ZONE.sub("", plain))
     if word in ("", "t") and _NAME_ZONE.search(plain):
         return "stamp"
-    return next((kind for kind, words in _TIMES.items() if word in words), "")
+    return next((kind for kind, words in _TIMES.items() if word in words.split()), "")
 
 
 def _netcdf(path: Path) -> _Table:
@@ -467,7 +458,7 @@ def _columns(path: Path, table: _Table, asked: Mapping[str, str]) -> dict[str, i
     for quantity in QUANTITIES:
         name = asked.get(quantity, quantity).lower()
         matches = [names.index(name)] if name in names else []
-        matches = matches or [i for i, letters in free if letters in _USUAL[quantity]]
+        matches = matches or [i for i, letters in free if letters in _USUAL[quantity].split()]
         if len(matches) > 1:
             found = ", ".join(table.names[i] for i in matches)
             found = f"several columns for {quantity}: {found}"

@@ -30,20 +30,11 @@ _OFFSET = re.compile(r"Irradiance Time Offset \(h\):\s*(-?\d+(?:\.\d+)?)", re.IG
 # The letters of column headings without their unit, by quantity: TMY3, SAM, NSRDB, PVGIS,
 # SolarAnywhere, Solcast, CAMS (bni), Open-Meteo.
 _HEADINGS = {
-    "dni": {
-        *("dni", "beam", "dn", "gbn", "bni", "directnormal", "directnormalirradiance"),
-        "directnormalirradiancedni",
-    },
-    "dhi": {
-        *("dhi", "diffuse", "df", "gdh", "diffusehorizontal", "diffuseradiation"),
-        "diffusehorizontalirradiancedif",
-    },
-    "ghi": {
-        *("ghi", "global", "gh", "globalhorizontal", "shortwaveradiation"),
-        "globalhorizontalirradianceghi",
-    },
+    "dni": "dni beam dn gbn bni directnormal directnormalirradiance directnormalirradiancedni",
+    "dhi": "dhi diffuse df gdh diffusehorizontal diffuseradiation diffusehorizontalirradiancedif",
+    "ghi": "ghi global gh globalhorizontal shortwaveradiation globalhorizontalirradianceghi",
 }
-_IN_PLANE = {"dni": {"gbi"}, "dhi": {"gdi"}, "ghi": set[str]()}
+_IN_PLANE = {"dni": "gbi", "dhi": "gdi", "ghi": ""}
 # Cells of a TMY2 row: year, month, day, hour, DNI, DHI, GHI (its manual).
 _TMY2 = ((1, 3), (3, 5), (5, 7), (7, 9), (23, 27), (29, 33), (17, 21))
 _AGAIN = "download the file again as hourly data"
@@ -120,9 +111,7 @@ def _number(name: str, text: str) -> float:
     return value
 
 
-def _columns(
-    path: Path, names: Cells, headings: Mapping[str, set[str]] = _HEADINGS
-) -> dict[str, int]:
+def _columns(path: Path, names: Cells, headings: Mapping[str, str] = _HEADINGS) -> dict[str, int]:
     """Return the column of each quantity, from 0: dni, dhi, and ghi if the file has it.
 
     names: the file's column headings; headings: by quantity, the letters of a heading that is of
@@ -131,7 +120,7 @@ def _columns(
     columns: dict[str, int] = {}
     letters = [re.sub("[^a-z]", "", strict_csv.split_heading(name)[0].lower()) for name in names]
     for quantity, keys in headings.items():
-        at = [k for k, text in enumerate(letters) if text in keys]
+        at = [k for k, text in enumerate(letters) if text in keys.split()]
         if len(at) > 1:
             found = f"several columns of {quantity.upper()}: {', '.join(names[k] for k in at)}"
             raise InputError(path, found, "one column", "rename or remove the others")

@@ -18,31 +18,13 @@ FORMAT = 1  # of the file; docs/file-formats.md
 NAME = "hourly.csv"
 _DIGITS = 5  # significant ones; chosen
 HOUR_COLUMNS = (
-    "dni_wm2",
-    "dhi_wm2",
-    "sun_altitude_deg",
-    "sun_azimuth_deg",
-    "disc_lx",
-    "occupied",
-    "trusted",
-    "expected_log10_mse",
-    "disturbed_share",
+    *("dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg", "disc_lx"),
+    *("occupied", "trusted", "expected_log10_mse", "disturbed_share"),
 )
 COLOUR_COLUMNS = ("melanopic_edi_lx", "u_melanopic_edi_lx")  # written only with calibrated colour
 VIEW_COLUMNS = (
-    "dgp",
-    "u_dgp",
-    "dgp_low",
-    "dgp_high",
-    "dgps",
-    "ev_lx",
-    "melanopic_edi_lx_estimate",
-    *COLOUR_COLUMNS,
-    "ugr",
-    "dgi",
-    "task_cdm2",
-    "window_to_task",
-    "uniformity",
+    *("dgp", "u_dgp", "dgp_low", "dgp_high", "dgps", "ev_lx", "melanopic_edi_lx_estimate"),
+    *(*COLOUR_COLUMNS, "ugr", "dgi", "task_cdm2", "window_to_task", "uniformity"),
 )
 # Columns that earlier versions did not write are NaN in their years.
 _LATER = ("dgp_low", "dgp_high", *COLOUR_COLUMNS, "disturbed_share")
