@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fieldlum.core import scheduler as work
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.core.false_colour import RANGE_CDM2, coloured, png_of
+from fieldlum.core.files import check_writable, remove_scraps, replacing_path, sha256, write_file
 from fieldlum.core.records import (
     CLIPPED_SUN,
     JsonTable,
@@ -32,14 +33,7 @@ from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.optics.raw import unreadable
-from fieldlum.session import (
-    Session,
-    check_writable,
-    remove_scraps,
-    replacing_path,
-    sha256,
-    write_file,
-)
+from fieldlum.session import Session
 from fieldlum.session.codec import change_of, current_note, digest, sealed, to_json, write_csv
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.sidecar import MergeReport, Sidecar, SidecarSun, readable_sidecars

@@ -8,15 +8,8 @@ import zlib
 from datetime import UTC
 from pathlib import Path
 
+from fieldlum.core import files
 from fieldlum.core.errors import InputError
-from fieldlum.core.files import (
-    append_complete,
-    cut_torn_tail,
-    is_replaced,
-    open_to_read,
-    separate,
-    sync_folder,
-)
 from fieldlum.core.records import IrradianceSample, parse_utc, utc_text
 from fieldlum.session.folder import Session
 from fieldlum.session.safe_paths import open_inside, refuse_link
@@ -75,18 +68,18 @@ class DayFiles:
     def append(self, sample: IrradianceSample) -> None:
         """Append a row. Raises OSError on a full disk, after removing a partly written row."""
         day = sample.t_utc.astimezone(UTC).strftime("%Y-%m-%d")
-        if day != self._day or is_replaced(self._handle, self._folder / f"{day}.csv"):
+        if day != self._day or files.is_replaced(self._handle, self._folder / f"{day}.csv"):
             self._open(day)
-        append_complete(self._handle, encode_sample(sample), flush=self._flush)
+        files.append_complete(self._handle, encode_sample(sample), flush=self._flush)
 
     def _open(self, day: str) -> None:
         """Open the file of a UTC day to append to it; move an incomplete last line away."""
         self.close()
         path = self._folder / f"{day}.csv"
         spoilt = False
-        separate(path)
+        files.separate(path)
         try:
-            self.cut_bytes += cut_torn_tail(
+            self.cut_bytes += files.cut_torn_tail(
                 path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None
             )
         # Somebody saved the file with a spreadsheet: append to it; readers count its lines as
@@ -96,9 +89,9 @@ class DayFiles:
         handle = open_inside(self._root, path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
         try:
             if spoilt or os.fstat(handle).st_size == 0:
-                append_complete(handle, b"\n" * spoilt + _DAY_HEADER, flush=self._flush)
+                files.append_complete(handle, b"\n" * spoilt + _DAY_HEADER, flush=self._flush)
                 if self._flush:
-                    sync_folder(self._folder)
+                    files.sync_folder(self._folder)
         except OSError:
             os.close(handle)
             raise
@@ -120,7 +113,7 @@ def read_day(path: Path) -> tuple[list[IrradianceSample], int]:
     """Return the samples of one day file, in its order, and the number of damaged lines skipped."""
     samples: list[IrradianceSample] = []
     damaged = 0
-    with open_to_read(path) as file:
+    with files.open_to_read(path) as file:
         for line in file:
             sample = decode_sample(line)
             if sample is not None:

@@ -31,14 +31,8 @@ from fieldlum.optics.projection import (
 )
 from fieldlum.session.codec import read_arrays
 from fieldlum.session.files.model_files import ModelConfig
+from fieldlum.sky import sun_disc
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.sun_disc import (
-    PIXEL_SIGMA,
-    SunDisc,
-    brightest_surface_cdm2,
-    find_disc,
-    without_disc,
-)
 
 GLASS_INDEX = 1.52  # refractive index of soda-lime glass (EN 572-1: 1.50 rounded; Radiance: 1.52)
 # No spot this near to the sun is an image: its pixels can be the sky around the sun, and a mirror
@@ -69,7 +63,7 @@ class SunImage:
 
     row: int
     towards: Floats
-    spot: SunDisc
+    spot: sun_disc.SunDisc
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +129,7 @@ def bright_spots(
     """
     light = np.nan_to_num(np.asarray(luminance_cdm2, np.float32), posinf=0.0, neginf=0.0)
     height, width = light.shape
-    limit = brightest_surface_cdm2(dni_wm2)
+    limit = sun_disc.brightest_surface_cdm2(dni_wm2)
     if light.max() <= limit:
         return []
     rays = equirect_rays(height, width, heading_deg)
@@ -146,7 +140,7 @@ def bright_spots(
         if light[peak] <= limit:
             break
         altitude, azimuth = (float(angle) for angle in altitude_azimuth_deg(rays[peak]))
-        spot = find_disc(light, heading_deg, near_deg=(altitude, azimuth), dni_wm2=dni_wm2)
+        spot = sun_disc.find_disc(light, heading_deg, near_deg=(altitude, azimuth), dni_wm2=dni_wm2)
         if spot is not None:
             spots.append(SunImage(row, direction(spot.altitude_deg, spot.azimuth_deg), spot))
         around = rays @ rays[peak] > np.cos(near_sun_rad(height))
@@ -219,7 +213,7 @@ def _best_mirror(rest: Sequence[SunImage], suns: Floats, height: int) -> MirrorP
     fixed = _angles(middle / np.linalg.norm(middle), places[chosen])
     if np.sqrt((off**2).mean()) > 0.5 * np.sqrt((fixed**2).mean()):
         return None
-    sigma = max(float(np.sqrt((off**2).mean() / 2.0)), PIXEL_SIGMA * np.pi / height)
+    sigma = max(float(np.sqrt((off**2).mean() / 2.0)), sun_disc.PIXEL_SIGMA * np.pi / height)
     _, first = np.unique(np.round(places[chosen] / (np.pi / height)), axis=0, return_index=True)
     u_rad = sigma / np.sqrt((across[chosen][first] ** 2).sum())  # places in one pixel err alike
     towards_sun = normal * np.sign((suns[rows[chosen]] @ normal).sum())
@@ -406,7 +400,7 @@ def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
         return data, ()
     maps = data.luminance_cdm2.copy()
     for image in (image for plane in planes for image in plane.images):
-        maps[image.row] = without_disc(maps[image.row], image.spot)
+        maps[image.row] = sun_disc.without_disc(maps[image.row], image.spot)
     data = replace(data, luminance_cdm2=maps)
     return data, tuple(_mirror(plane, data) for plane in planes)
 
@@ -423,7 +417,7 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     towards = mirrored(suns, plane.normal)
     at = pixels(towards, data.shape, data.heading_deg)
     visible = np.isin(np.arange(len(data)), rows)
-    limit = np.array([brightest_surface_cdm2(float(dni)) for dni in data.light.dni_wm2])
+    limit = np.array([sun_disc.brightest_surface_cdm2(float(dni)) for dni in data.light.dni_wm2])
     bright = factor * full_lx / equirect_solid_angles(*data.shape).reshape(-1)[at]  # cd/m2
     # An image next to the sun, which is not searched, is at a grazing angle.
     front = suns @ plane.normal > np.sin(near_sun_rad(data.shape[0]) / 2.0)

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.files import remove_scraps, replacing_path, sha256
 from fieldlum.core.records import SiteFile, Slot
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
@@ -24,14 +25,7 @@ from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.room.scene import build
 from fieldlum.room.scene.radiosity import LitRoom, box_room, lit_room
 from fieldlum.room.simulate.fine_windows import FineWindows, fine_windows
-from fieldlum.session import (
-    Session,
-    create_session,
-    remove_scraps,
-    replacing_path,
-    sha256,
-    update_session,
-)
+from fieldlum.session import Session, create_session, update_session
 from fieldlum.session.codec import current_note, digest, write_object
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, write_simulated_pairs
