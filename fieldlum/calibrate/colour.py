@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 
 from fieldlum.calibrate import fit_steps
@@ -413,8 +414,6 @@ def patch_centres(corners: Floats) -> tuple[Array, float]:
     corners : x and y [4, 2] px of the outer corners of the field of patches, clockwise from the
     corner at the dark skin patch. Centres are row by row from that patch.
     """
-    import cv2
-
     square = np.array([[0, 0], [COLUMNS, 0], [COLUMNS, ROWS], [0, ROWS]], np.float32)
     h = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
     down, right = np.mgrid[:ROWS, :COLUMNS].reshape(2, -1) + 0.5
@@ -430,8 +429,6 @@ def find_chart(frame: fit_steps.LinearFrame) -> Floats:
 
     Raises InputError if no chart is detected, or none whose colours are in a chart's order.
     """
-    import cv2
-
     light = frame.rgb / max(float(np.percentile(frame.rgb[..., 1], 99)), 1e-9)
     codes = (255 * np.clip(light[..., ::-1], 0, 1) ** (1 / 2.2)).astype(np.uint8)
     shrink = min(1.0, 1600 / max(codes.shape))  # the detector's time grows with the picture

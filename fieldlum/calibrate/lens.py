@@ -5,8 +5,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from fieldlum.calibrate import fit_steps
 from fieldlum.calibrate.fit_charts import Chart, Place, grey_picture
@@ -145,8 +149,6 @@ def _solve(
     which start at `others`. pose : the lens's pose is fitted too. The last result is scipy's
     solution.
     """
-    from scipy.optimize import least_squares
-
     mapping, powers = model
     free, posed = len(powers[1:]), 3 * pose
 
@@ -243,8 +245,6 @@ def _rotation_between(directions: Array, true: Array) -> tuple[float, Any]:
     The rotation of scipy solves Wahba's problem (1965), with less weight for gross errors. true:
     the directions after it [n, 3].
     """
-    from scipy.spatial.transform import Rotation
-
     off, turn = np.ones(len(directions)), Rotation.identity()
     for _ in range(10):
         turn = Rotation.align_vectors(true, directions, weights=1.0 / np.maximum(off, 0.02))[0]
@@ -275,8 +275,6 @@ def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
     columns, rows : numbers of inner corners along the board's sides. Raises InputError if the file
     cannot be read as a picture.
     """
-    import cv2
-
     complete, corners = cv2.findChessboardCornersSB(
         grey_picture(path), (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE
     )
@@ -295,8 +293,6 @@ def fit_boards(
     corners. Raises NotEnoughDataError for fewer than four boards, InputError for corners that no
     lens explains.
     """
-    from scipy.spatial.transform import Rotation
-
     remedy = "check the corners after --chessboard; take sharp pictures, also at the circle's edge"
     fit_steps.require(len(corners), 4, "pictures in which the chessboard was detected", remedy)
     points = np.zeros((rows * columns, 3))
@@ -331,9 +327,6 @@ def _board_pose(level: Lens, corners: Array, points: Array) -> Array:
     The corners are projected to a plane in front of the board, as a pinhole camera sees them.
     points: the corners on the board, in squares [n, 3].
     """
-    import cv2
-    from scipy.spatial.transform import Rotation
-
     rays = lens_rays(level, *corners.T)
     turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [rays.mean(axis=0)])[0]
     flat = turn.apply(rays)
@@ -376,8 +369,6 @@ def circle(
     and for a circle whose centre or radius differs from where the search began by over 15 % of the
     radius.
     """
-    from scipy.optimize import least_squares
-
     start = _bright_area(picture) if guessed else np.array([*lens.centre_px, lens.radius_px])
     place, edge, on_circle, off = start, np.empty((2, 0)), 0.0, np.empty(0)
 
@@ -420,8 +411,6 @@ def _edge_points(picture: NDArray[np.uint8], around: Array, reach: float) -> tup
     around : x, y and radius of the circle [px]. The edge is searched within `reach`, a share of the
     radius. Rays that leave the picture inside the circle are not counted.
     """
-    from scipy.ndimage import gaussian_filter, map_coordinates
-
     smooth = 255 * gaussian_filter((picture.astype(np.float32) / 255) ** 2.2, 1.0)
     turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     x, y, radius = around

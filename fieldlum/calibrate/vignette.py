@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import BPoly, PPoly
+from scipy.optimize import least_squares, nnls
 
 from fieldlum.calibrate import fit_steps
 from fieldlum.calibrate.fit_charts import Chart, Place
@@ -166,9 +168,6 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
     uncertainty [n]; order: highest power. Return the coefficients of 1, r^2, r^4 ..., with the
     level.
     """
-    from scipy.interpolate import BPoly, PPoly
-    from scipy.optimize import nnls
-
     scale = float(np.median(value))
     design, right = _design(r, order) / (u_rel * value / scale)[:, None], 1.0 / u_rel
     theta = np.linalg.lstsq(design, right, rcond=None)[0]
@@ -243,8 +242,6 @@ def _contradicting(samples: Samples) -> Mask:
     are near the curve. At a steep rim several neighbouring readings are far from the curve: all of
     them are used.
     """
-    from scipy.optimize import least_squares
-
     r, scaled = samples.r, samples.value / np.median(samples.value)
     design = _design(r, 4 if len(r) < 12 else 6)
     start = np.eye(design.shape[1])[0]

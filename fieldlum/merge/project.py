@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Flag, Panorama
@@ -122,8 +123,6 @@ def _matrix(samples: _Samples, lattice: _Lattice, sensor_shape: tuple[int, int])
     lattice: of the colour's pixels, by `_lattice`; sensor_shape: rows and columns. The matrix is
     CSR [target pixels, sensor pixels]; a sample is p steps right and q steps down from the origin.
     """
-    from scipy import sparse
-
     origin, right, down = lattice
     x, y = samples.x - (origin[1] + 0.5), samples.y - (origin[0] + 0.5)
     if right[0]:
@@ -166,8 +165,6 @@ def resampler(
     cfa : four letters row by row, or "" for a sensor with all colours at every pixel (one matrix,
     named "").
     """
-    from scipy import sparse
-
     sub = _samples_per_pixel(target, lens, 2.0**0.5 if cfa else 1.0)  # green pixels are densest
     height, width = target.shape
     # samples that fit the cache of a core; decides speed only
@@ -240,8 +237,6 @@ def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray
     r: the lens's matrices, by colour: one for a mosaic's each, or a single one named "". Only the
     sensor pixels of the matrices are read, so that a small target costs little.
     """
-    from scipy import sparse
-
     m, width = sensor.merged, 3 if "" in r.matrices else 1  # width: colours of a sensor pixel
     value, variance, of_sensor = (a.reshape(-1, width) for a in (m.value_cdm2, m.variance, m.flags))
     rgb, var = [], []

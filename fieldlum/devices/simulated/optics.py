@@ -1,13 +1,12 @@
 """Compute the light on each pixel of a fisheye sensor from a luminance panorama."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.sparse import csr_array, vstack
 
 from fieldlum.core.arrays import Floats, Floats32, Indices
 from fieldlum.core.records import Panorama, SunSource
@@ -16,9 +15,6 @@ from fieldlum.optics import projection
 from fieldlum.optics.projection import LensGeometry, angle_of_radius, lens_pixels, lens_rays
 from fieldlum.room.scene.trace import DISC_RAYS, SUN_RADIUS_DEG, disc_rays
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 _SUBSAMPLES = 3  # per sensor pixel and axis; chosen, not measured
 # Standard deviation of the lens's blur. Without a finer part of the panorama it is applied to the
@@ -52,8 +48,6 @@ def lens_sampling(
     part, whose pixels follow those of the panorama. Both are constant over each of their pixels. A
     sensor pixel averages 3 x 3 directions.
     """
-    from scipy.sparse import csr_array, vstack
-
     # the picture ends outside the circle, to include its edge
     (cx, cy), reach = lens.centre_px, lens.radius_px + 1.0
     top, bottom = max(int(cy - reach), 0), min(int(cy + reach) + 1, sensor[0])
@@ -136,8 +130,6 @@ def on_sensor(panorama: Panorama, views: list[LensSampling], sensor: tuple[int, 
     The sun's disc is included; pixels outside the lenses are 0. views : by `lens_sampling`, one for
     each lens; sensor : (height, width). The lens's blur applies to a panorama with a finer part.
     """
-    from scipy.ndimage import gaussian_filter
-
     flat = channels(panorama)
     detail = detail_of(panorama)
     if detail is not None:
@@ -159,8 +151,6 @@ def _add_sun(image: Floats32, panorama: Panorama, sun: SunSource, lens: LensGeom
 
     The sum of luminance times solid angle over its pixels equals its normal illuminance.
     """
-    from scipy.ndimage import gaussian_filter
-
     at = projection.direction(sun.altitude_deg, sun.azimuth_deg - panorama.heading_deg)
     x, y, angle = lens_pixels(lens, at)
     if angle >= lens.half_angle_rad:

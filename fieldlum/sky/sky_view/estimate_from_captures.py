@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from datetime import date, datetime
 
 import numpy as np
+from scipy import ndimage
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import NotEnoughDataError
@@ -434,13 +435,11 @@ def _sun_passes(rays: Floats, latitude_deg: float | None, pose: CameraPose) -> M
 
 def _turned(stack: _Stack, view: SkyView) -> CameraPose:
     """Return the pose with the heading by the open sky, if discs do not give it better."""
-    from scipy.ndimage import binary_erosion
-
     if view.pose.heading_sd_deg < MIN_U_DEG:
         return view.pose
     inside = int(np.ceil(0.5 / stack.grid.step_deg))  # half a degree from an edge
     open_sky = stack.kept & (view.openness >= _OPEN)
-    at = np.flatnonzero(binary_erosion(open_sky, np.ones((3, 3)), iterations=inside))
+    at = np.flatnonzero(ndimage.binary_erosion(open_sky, np.ones((3, 3)), iterations=inside))
     at = at[:: max(1, len(at) // SOME)]
     rays = view.pose.true_directions(stack.grid.rays().reshape(-1, 3)[at])
     luminance = stack.luminance_cdm2[:, stack.columns[at]]
@@ -450,17 +449,15 @@ def _turned(stack: _Stack, view: SkyView) -> CameraPose:
 
 def _sky_and_edge(sky: Mask) -> Mask:
     """Return a mask [h, w] of the pixels that are sky or touch it, diagonally too."""
-    from scipy.ndimage import binary_dilation
-
-    return np.asarray(binary_dilation(sky, np.ones((3, 3))), bool)
+    return np.asarray(ndimage.binary_dilation(sky, np.ones((3, 3))), bool)
 
 
 def _nearest(marked: Mask) -> Indices:
     """Return the flat index of the nearest marked pixel, [h, w]."""
-    from scipy.ndimage import distance_transform_edt
-
     found = np.empty((2, *marked.shape), np.int32)
-    distance_transform_edt(~marked, return_distances=False, return_indices=True, indices=found)
+    ndimage.distance_transform_edt(
+        ~marked, return_distances=False, return_indices=True, indices=found
+    )
     return found[0] * marked.shape[1] + found[1]
 
 
@@ -474,15 +471,13 @@ def _bounds(
     neighbours show, and one that is larger than the sun's disc may show all of it or none. So may
     an open pixel of a lens between two such: a gap between slats.
     """
-    from scipy.ndimage import maximum_filter, minimum_filter
-
     blurred_deg = step_deg * (2.0 if step_deg < LENS_PIXEL_DEG else 1.0)  # over which it is a mean
     pixel_sr = np.radians(blurred_deg) ** 2
     if blurred_deg > step_deg and pixel_sr > SUN_SOLID_ANGLE_SR:
         mixed = mixed | ((openness >= _OPEN) & between(mixed))
     larger = np.where(mixed, max(1.0, pixel_sr / SUN_SOLID_ANGLE_SR), 1.0)
-    around = np.where(mixed, maximum_filter(openness, 3), openness)
-    within = np.where(mixed, minimum_filter(openness, 3), openness)
+    around = np.where(mixed, ndimage.maximum_filter(openness, 3), openness)
+    within = np.where(mixed, ndimage.minimum_filter(openness, 3), openness)
     maximum = np.where(around > 0.0, np.clip((around + 2.0 * u) * larger, 0.0, 1.0), 0.0)
     minimum = 1.0 - np.clip((1.0 - within + 2.0 * u) * larger, 0.0, 1.0)
     high = np.minimum(maximum * pane * (1.0 + 2.0 * _SCALE_SD), 1.0)
@@ -669,10 +664,8 @@ def _panes_without_disc(view: SkyView, scatters: Mask, suns: Floats, measured: F
 
     suns [n, 3]; measured [n]: share of the beam. scatters: mask of the scattering panes [h, w].
     """
-    from scipy.ndimage import label
-
     panes = np.empty(scatters.shape, np.int32)
-    label(scatters, output=panes)
+    ndimage.label(scatters, output=panes)
     row, column = view.grid.pixels(suns)
     inside = (row >= 0) & (row < view.grid.height) & (column < view.grid.width)
     at = panes[row[inside].astype(int), column[inside].astype(int)]
@@ -699,10 +692,8 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
     of the directions that follow the sky; step_deg: size of a pixel. Connected directions are one
     pane. One under three pixels wide may have no open pixel: it is as clear as the nearest wider.
     """
-    from scipy.ndimage import binary_erosion, gaussian_filter, label
-
     labels = np.empty(sky.shape, np.int32)
-    count = int(label(sky, np.ones((3, 3)), output=labels))  # pyright: ignore[reportArgumentType]
+    count = int(ndimage.label(sky, np.ones((3, 3)), output=labels))  # pyright: ignore[reportArgumentType]
     level = np.where(sky, through, 0.0)
     sizes = np.bincount(labels.ravel(), minlength=count + 1) * step_deg**2
     large = np.flatnonzero(sizes >= _MIN_PANE_DEG2)
@@ -714,11 +705,11 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
         bright = float(np.quantile(through[inside], 0.9))
         open_ = inside & (through >= _OPEN_SHARE * bright)
         sigma = _SMOOTH_DEG / step_deg
-        weight = gaussian_filter(open_.astype(float), sigma, truncate=3.0)
-        mean = gaussian_filter(np.where(open_, through, 0.0), sigma, truncate=3.0)
+        weight = ndimage.gaussian_filter(open_.astype(float), sigma, truncate=3.0)
+        mean = ndimage.gaussian_filter(np.where(open_, through, 0.0), sigma, truncate=3.0)
         smooth = np.where(weight > 1e-6, mean / np.maximum(weight, 1e-9), bright)
         level[inside] = np.maximum(smooth, _OPEN_SHARE * bright)[inside]
-    inner = np.asarray(binary_erosion(sky, np.ones((3, 3))), bool)
+    inner = np.asarray(ndimage.binary_erosion(sky, np.ones((3, 3))), bool)
     wide = np.intersect1d(large, labels[inner])
     if len(wide):
         narrow = np.isin(labels, np.setdiff1d(large, wide))

@@ -14,7 +14,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+from scipy.ndimage import binary_opening, find_objects, maximum_filter
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError, reason_of
@@ -263,8 +265,6 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
     and what is in front of it give each pixel its openness. Where mixed pixels fill a square, slats
     or leaves keep their mean; in pixels larger than a lens's also where none next to them is open.
     """
-    from scipy.ndimage import binary_opening, find_objects, maximum_filter
-
     shown, size = np.nan_to_num(openness), 3
     lens = factor * _FINE_DEG <= LENS_PIXEL_DEG
     if lens:
@@ -310,7 +310,6 @@ def _shortest_edges(openness: Floats32, factor: int) -> Floats32:
     each pixel the brightest parts, as many as its openness, are open. A blur along bars keeps those
     unbroken that are narrower than a pixel.
     """
-    import cv2
 
     def even(values: Floats32, pixel: float) -> Floats32:
         blurred = cv2.GaussianBlur(values, (0, 0), 0.5 * pixel, borderType=cv2.BORDER_REPLICATE)
@@ -341,8 +340,6 @@ def _blurred(
     factor: pixels of the map across one of the sky view; blur: a function of the reduced map and of
     `factor` in it.
     """
-    import cv2
-
     step = max(1, factor // _BLUR_STEPS)
     size = (values.shape[1] // step, values.shape[0] // step)
     small = np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float32)
@@ -354,8 +351,6 @@ def _along_edges(values: Floats32, pixel: float) -> Floats32:
 
     Each place takes that of eight long Gaussians which differs most from a round one.
     """
-    import cv2
-
     long, short = _EDGE_BLUR
     reach = int(np.ceil(3.0 * pixel))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1] / pixel
