@@ -15,14 +15,16 @@ from numpy.typing import ArrayLike
 from fieldlum.api.measurement import path_of, place
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Site, SiteFile, parse_utc
+from fieldlum.session import Session
+from fieldlum.sky import daylight
+from fieldlum.sky.daylight import Light
+from fieldlum.year.glare.sources import view_azimuths_deg
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from fieldlum.learn.models import Fitted, Patch
     from fieldlum.learn.models.training_data import Dataset
-    from fieldlum.session import Session
-    from fieldlum.sky.daylight import Light
     from fieldlum.year.predict import Annual
     from fieldlum.year.predict.hour_blocks import ModelRoom
 
@@ -103,7 +105,6 @@ class RoomModel:
         standard uncertainty. views: number of view directions, evenly around from the model's
         heading.
         """
-        from fieldlum.year.glare.sources import view_azimuths_deg
         from fieldlum.year.predict.annual import dataset_of
         from fieldlum.year.predict.hour_blocks import room_figures
 
@@ -116,8 +117,6 @@ class RoomModel:
 
     @staticmethod
     def _checked(light: Light) -> Light:
-        from fieldlum.sky.daylight import Light
-
         if not isinstance(light, Light) or not len(light):
             expected = "one hour or more from fieldlum.light_at"
             raise InputError("light", f"{light!r:.60}", expected, "call it first")
@@ -160,7 +159,6 @@ def load_pairs(
     """
     from fieldlum.learn.models import training_data
     from fieldlum.room.fit.apply_scene import apply_scene
-    from fieldlum.session import Session
 
     source = pairs.root if isinstance(pairs, Session) else path_of(pairs, "pairs")
     stated = None if site is None else path_of(site, "site")
@@ -295,8 +293,6 @@ def light_at(
     array([65.5])
     """
     import numpy as np
-
-    from fieldlum.sky import daylight
 
     if isinstance(times_utc, str | datetime) or not isinstance(times_utc, Iterable):
         times_utc = [times_utc]

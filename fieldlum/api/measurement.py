@@ -8,13 +8,17 @@ from collections.abc import Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
 
+from fieldlum import session, weather
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import JsonTable, Panorama, Site, SiteFile
 from fieldlum.merge import MergeResult
+from fieldlum.optics import images, profiles
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.plan import Plan
-from fieldlum.session import Session
+from fieldlum.session import Session, site_toml
+from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.weather import Weather
+from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
 
 
 def path_of(value: object, what: str = "file") -> Path:
@@ -49,8 +53,6 @@ def open_session(folder: str | Path) -> Session:
     >>> len(session.slots()), session.pairs
     (108, PosixPath('office-2027/pairs.csv'))
     """
-    from fieldlum import session
-
     return session.open_session(path_of(folder, "folder"))
 
 
@@ -77,8 +79,6 @@ def load_site(file: str | Path) -> SiteFile:
     >>> fieldlum.load_site("office.toml").site.latitude_deg
     47.6
     """
-    from fieldlum.session import site_toml
-
     return site_toml.load_site(path_of(file))
 
 
@@ -105,8 +105,6 @@ def load_camera_profile(name: str | Path) -> CameraProfile:
     >>> fieldlum.load_camera_profile("sim-fisheye").bracket.f_number
     5.6
     """
-    from fieldlum.optics import profiles
-
     return profiles.load_camera_profile(path_of(name, "camera"))
 
 
@@ -137,8 +135,6 @@ def read_panorama(file: str | Path) -> Panorama:
     >>> panorama.luminance_cdm2.shape, panorama.heading_deg
     ((230, 460), 180.0)
     """
-    from fieldlum.session.panorama_sun import read_panorama_with_sun
-
     return read_panorama_with_sun(path_of(file))
 
 
@@ -163,8 +159,6 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
     >>> grey = fieldlum.Panorama(np.full((115, 230), 500.0, np.float32), heading_deg=180.0)
     >>> fieldlum.write_panorama("grey.hdr", grey)
     """
-    from fieldlum.optics import images
-
     path = path_of(file)
     if not isinstance(panorama, Panorama):
         found = f"a value of type {type(panorama).__name__}"
@@ -209,8 +203,6 @@ def read_weather(
     >>> len(weather), weather.dni_wm2.max()
     (8760, 978.0)
     """
-    from fieldlum import weather
-
     return weather.read_weather(path_of(file), place(site), label_shift_min=label_shift_min)
 
 
@@ -367,8 +359,6 @@ def evaluate_glare(
     >>> glare["views"][0]["dgp"], glare["views"][0]["verdict"]
     (0.31, 'imperceptible')
     """
-    from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
-
     expected, remedy = "azimuths in degrees, such as [180.0]", "pass numbers"
     with input_errors("view_azimuths_deg", expected, remedy, TypeError, ValueError):
         azimuths = [float(azimuth) for azimuth in view_azimuths_deg]

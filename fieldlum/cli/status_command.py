@@ -1,14 +1,11 @@
 """`fieldlum status`: show what a session has done and what is still to do."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from fieldlum.capture.status import status
 from fieldlum.cli import terminal
 from fieldlum.cli.options import OpenSession, command_of
-
-if TYPE_CHECKING:
-    from fieldlum.core.records import JsonTable
+from fieldlum.core.records import JsonTable, counted
+from fieldlum.session import mark_slot
+from fieldlum.session.journal import damage_text
 
 
 @command_of("status")
@@ -26,9 +23,6 @@ def command(
       --mark SLOT STATE: Record the room's state at a slot: lamp=on|off, blind=up|half|down,
           tint=clear|half|full, snow=yes|no.
     """
-    from fieldlum.capture.status import status
-    from fieldlum.session import mark_slot
-
     if mark is not None:
         terminal.say(f"{mark[0]}: {mark_slot(session, *mark) or 'as usual'}")
     stage_status = status(session)
@@ -37,9 +31,6 @@ def command(
 
 def _lines(s: JsonTable) -> list[str]:
     """Return the lines that the terminal shows of an answer `s` of `status --json`."""
-    from fieldlum.core.records import counted
-    from fieldlum.session.journal import damage_text
-
     plan, capture, log = s["plan"], s["capture"], s["irradiance"]
     merge, pair = s["merge"], s["pair"]
     truth = " of the simulated truth" if pair["usable"] and not pair["done"] else ""
