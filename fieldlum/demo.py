@@ -8,9 +8,9 @@ with the rendered truth.
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from fieldlum.session import Session, open_session
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.model_files import TrainAnswer
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.journal import EventFields
 from fieldlum.session.site_toml import load_site
 from fieldlum.year.predict import Annual
 
@@ -69,10 +70,13 @@ def prepare(folder: Path) -> Session:
     return session
 
 
-def capture(session: Session, seed: int) -> None:
+def capture(
+    session: Session, seed: int, completed: Callable[[str], object] = lambda slot: None
+) -> None:
     """Capture all due slots with a simulated camera and pyranometer.
 
     The clock jumps from slot to slot, so that nothing waits. seed: of the simulated noise.
+    completed: called with each slot whose bracket is complete.
     """
     from fieldlum import capture as stage
     from fieldlum.capture.bracket import FrameChecks
@@ -82,9 +86,13 @@ def capture(session: Session, seed: int) -> None:
     def watch(live: Live) -> None:
         progress(live.done, live.planned, live.next_slot)
 
+    def listen(event: str, t_utc: datetime, fields: EventFields) -> None:
+        if event == "done":
+            completed(fields["slot"])
+
     clock, options = stage.prepare(session, fast=True)
     place = f"sim:office?seed={seed}"
-    how = {"clock": clock, "options": options, "watch": watch}
+    how = {"clock": clock, "options": options, "watch": watch, "listen": listen}
     stage.run(session, place, place, **how, checks=FrameChecks(compare_exif))
 
 
@@ -197,10 +205,12 @@ def run(
     with stage("render the room"):
         how = {"height": height, "quality": quality, "workers": workers}
         simulate.run(session, year, **how, coloured=True)
-    with stage("capture"):
-        capture(session, 1)
+    size = merge.MergeOptions(height=height)
+    early = merge.merging(session, size) if workers > 1 else nullcontext(lambda slot: None)
+    with stage("capture"), early as merge_slot:
+        capture(session, 1, merge_slot)
     with stage("merge"):
-        merge.run(session, merge.MergeOptions(height=height), scheduler=pool)
+        merge.run(session, size, scheduler=pool)
     with stage("pair"):
         irradiance.run(session)
         pair.run(session)

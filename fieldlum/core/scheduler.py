@@ -201,7 +201,7 @@ def _in_processes(units: list[WorkUnit], count: int) -> Outcomes:
     processes.
     """
     waiting, tries, running = units[::-1], Counter[str](), dict[Future[Any], WorkUnit]()
-    pool = _start_pool(count)
+    pool = start_pool(count)
     try:
         while waiting or running:
             while waiting and len(running) < (1 if tries[waiting[-1].name] else count):
@@ -209,7 +209,7 @@ def _in_processes(units: list[WorkUnit], count: int) -> Outcomes:
                 try:
                     future = pool.submit(unit.call, unit.folder, unit.argument)
                 except BrokenProcessPool:
-                    pool = _start_pool(count)
+                    pool = start_pool(count)
                     future = pool.submit(unit.call, unit.folder, unit.argument)
                 running[future] = unit
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -227,7 +227,7 @@ def _in_processes(units: list[WorkUnit], count: int) -> Outcomes:
         pool.shutdown(cancel_futures=True)
 
 
-def _start_pool(count: int) -> Executor:
+def start_pool(count: int) -> Executor:
     """Return an executor of `count` processes, each with one thread, that end with this one."""
     spawn = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(count, mp_context=spawn, initializer=_start_worker)

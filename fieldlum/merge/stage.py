@@ -1,7 +1,7 @@
 """Merge every captured slot of a session to panoramas/<slot>.exr (`fieldlum merge SESSION`)."""
 
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
@@ -314,6 +314,22 @@ def run(
         found = f"0 of {count} could be merged; {first.slot}: {first.text}"
         raise InputError(session.raw, found, remedy="correct the cause and merge again")
     return verdicts
+
+
+@contextmanager
+def merging(session: Session, options: MergeOptions) -> Iterator[Callable[[str], object]]:
+    """Give a function that merges a captured slot in another process, while others are captured.
+
+    `run` finds their panoramas. It merges the slots that still wait at the end, or that failed.
+    """
+    slots = [slot.id for slot in session.slots()]
+    units = dict(zip(slots, _units(session, slots, options, False), strict=True))
+    session.panoramas.mkdir(parents=True, exist_ok=True)
+    pool = work.start_pool(1)
+    try:
+        yield lambda slot: pool.submit(merge_slot, session.root, units[slot].argument)
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 # ----------------------------------------------------------------------------------------------
