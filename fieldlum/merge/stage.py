@@ -1,6 +1,6 @@
 """Merge every captured slot of a session to panoramas/<slot>.exr (`fieldlum merge SESSION`)."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -267,6 +267,21 @@ def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
 # many brackets
 
 
+def _units(
+    session: Session, slots: Sequence[str], options: MergeOptions, force: bool
+) -> list[work.WorkUnit]:
+    """Return the merges as units of work; each compares the sha256 of its frames itself."""
+    setup, units = session.site_file(), []
+    path = find_camera_profile(setup.camera.profile)
+    about = (load_camera_profile(path), sha256(path), setup.camera.heading_deg, setup.site)
+    for slot in slots:
+        job = _MergeJob(slot, *about, options, force)
+        note = session.capture_file(slot)
+        files = (note.relative_to(session.root).as_posix(),) if note.is_file() else ()
+        units.append(work.WorkUnit(slot, merge_slot, session.root, job, files=files))
+    return units
+
+
 def _verdict(outcome: work.UnitOutcome) -> Verdict:
     """Return a unit's verdict: "failed" if its workers failed or the disk is full."""
     if isinstance(outcome.error, InputError | OSError):
@@ -291,14 +306,7 @@ def run(
     slots = [folder.name for folder in session.captured_folders()]
     if not slots:
         raise NotEnoughDataError(f"{session.raw}: no captured slots; run fieldlum capture first")
-    setup, units = session.site_file(), []
-    path = find_camera_profile(setup.camera.profile)
-    about = (load_camera_profile(path), sha256(path), setup.camera.heading_deg, setup.site)
-    for slot in slots:  # each compares the sha256 of its frames itself
-        job = _MergeJob(slot, *about, options or MergeOptions(), force)
-        note = session.capture_file(slot)
-        files = (note.relative_to(session.root).as_posix(),) if note.is_file() else ()
-        units.append(work.WorkUnit(slot, merge_slot, session.root, job, files=files))
+    units = _units(session, slots, options or MergeOptions(), force)
     check_writable(session.panoramas)
     session.panoramas.mkdir(parents=True, exist_ok=True)
     verdicts: list[Verdict] = []
