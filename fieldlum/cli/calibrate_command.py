@@ -1,31 +1,24 @@
 """The command group `fieldlum calibrate`: each part is fitted, drawn, printed and stored alike."""
 
+from __future__ import annotations
+
 import inspect
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from fieldlum.calibrate import response as responses
-from fieldlum.calibrate import save_calibration
-from fieldlum.calibrate import scale as scales
-from fieldlum.calibrate import sensor as sensors
-from fieldlum.calibrate import shutter as shutters
-from fieldlum.calibrate import stray as haze
-from fieldlum.calibrate.fit_charts import Chart, draw
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH, InOrder, declare, numbers
 from fieldlum.cli.options import SHARED
-from fieldlum.core.strict_toml import plain
-from fieldlum.optics.linear_light import check_frame
-from fieldlum.optics.photometry import illuminance_verdict
-from fieldlum.optics.profiles import CameraProfile, Lens, find_camera_profile, load_camera_profile
-from fieldlum.optics.raw import frame_files
-from fieldlum.session import open_session, sha256
+
+if TYPE_CHECKING:
+    from fieldlum.calibrate.fit_charts import Chart
+    from fieldlum.optics.profiles import CameraProfile, Lens
 
 LensNumber = Annotated[int, click.IntRange(min=1)]
 Paths = tuple[Path, ...]
@@ -86,6 +79,11 @@ def _run(
     **own: Any,
 ) -> None:
     """Fit one part, draw it, print what it found, and write the profile."""
+    from fieldlum.calibrate import save_calibration
+    from fieldlum.calibrate.fit_charts import draw
+    from fieldlum.core.strict_toml import plain
+    from fieldlum.optics.profiles import load_camera_profile
+
     profile = load_camera_profile(camera)
     new = fit(profile, **own)
     terminal.notes(new.notes)
@@ -167,6 +165,7 @@ def lens(
 def _by_circle(frame: Path, profile: CameraProfile, index: int) -> FittedPart:
     """Return centre and radius of lens `index` by the edge of the image circle in one frame."""
     from fieldlum.calibrate import lens as lenses
+    from fieldlum.optics.linear_light import check_frame
 
     start = profile.lens[index]
     grey = lenses.grey_picture(frame)
@@ -215,6 +214,8 @@ def response(profile: Any, sources: Annotated[Paths, "BRACKETS...", EXISTING_PAT
       fieldlum calibrate response bracket-1 bracket-2 --camera mine.toml --out mine.toml
     """
     import numpy as np
+
+    from fieldlum.calibrate import response as responses
 
     places = responses.sample(responses.brackets_in(sources), profile, np.random.default_rng(1))
     fit = responses.fit(places)
@@ -317,6 +318,9 @@ def scale(
     """
     import numpy as np
 
+    from fieldlum.calibrate import scale as scales
+    from fieldlum.optics.photometry import illuminance_verdict
+
     readings, frames, notes = scales.from_table(sources, profile)
     fit = scales.fit(readings, meter_u, sources)
     warning = scales.check_level(fit, profile, sources)
@@ -350,6 +354,10 @@ def shutter(profile: Any, sources: Annotated[Paths, "SESSION...", EXISTING_PATH]
     Example:
       fieldlum calibrate shutter my-session --camera mine.toml --out mine.toml
     """
+    from fieldlum.calibrate import shutter as shutters
+    from fieldlum.optics.profiles import find_camera_profile
+    from fieldlum.session import open_session, sha256
+
     digest = sha256(find_camera_profile(click.get_current_context().params["camera"]))
     read = [shutters.from_session(open_session(path), digest) for path in sources]
     files = [file for _, sidecars in read for file in sidecars]
@@ -376,9 +384,11 @@ def pixels(profile: Any, sources: Annotated[Paths, "FRAME|FOLDER...", EXISTING_P
     Example:
       fieldlum calibrate pixels dark-*.dng --camera mine.toml --out mine.toml
     """
-    defects, sensor = sensors.find(sources, profile), profile.sensor
+    from fieldlum.calibrate import sensor as finder
+
+    defects, sensor = finder.find(sources, profile), profile.sensor
     bad_px = tuple(sorted({*sensor.bad_px, *defects.bad_px}))
-    changed, chart = {"sensor": replace(sensor, bad_px=bad_px)}, sensors.pixel_chart(defects)
+    changed, chart = {"sensor": replace(sensor, bad_px=bad_px)}, finder.pixel_chart(defects)
     return FittedPart(changed, [defects.line], defects.frames, chart)
 
 
@@ -395,12 +405,15 @@ def linearity(profile: Any, sources: Annotated[Paths, "FRAMES...", EXISTING_PATH
     Example:
       fieldlum calibrate linearity steady/ --camera mine.toml --out mine.toml
     """
+    from fieldlum.calibrate import sensor as curves
+    from fieldlum.optics.raw import frame_files
+
     plain = replace(profile, sensor=replace(profile.sensor, linearity=(), exposure_offset_s=0.0))
-    levels = sensors.read_levels(frame_files(*sources), plain)
-    fit = sensors.fit(levels)
+    levels = curves.read_levels(frame_files(*sources), plain)
+    fit = curves.fit(levels)
     own = {"linearity": fit.coefficients, "linearity_u_rel": fit.u_rel}
     sensor = replace(profile.sensor, **own, exposure_offset_s=fit.offset_s)
-    changed, chart, lines = {"sensor": sensor}, sensors.chart(levels, fit), [fit.choice.line]
+    changed, chart, lines = {"sensor": sensor}, curves.chart(levels, fit), [fit.choice.line]
     figures = {"u_exposure_offset_s": fit.u_offset_s}
     return FittedPart(changed, lines, levels.frames, chart, figures=figures)
 
@@ -419,6 +432,8 @@ def stray(profile: Any, sources: Annotated[Path, "READINGS.csv", EXISTING_PATH])
     Example:
       fieldlum calibrate stray traps.csv --camera mine.toml --out mine.toml --picture stray.png
     """
+    from fieldlum.calibrate import stray as haze
+
     readings = haze.from_table(sources, profile)
     fit = haze.fit(readings, sources)
     changed = {"stray": fit.kernel, "glare_floor_rel": 0.0}  # the kernel's u_rel replaces the floor

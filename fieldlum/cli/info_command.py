@@ -7,18 +7,6 @@ from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import emit_json, say, tell
 from fieldlum.core.errors import InputError, did_you_mean
 from fieldlum.core.files import read_bytes
-from fieldlum.core.records import utc_text
-from fieldlum.core.strict_toml import build, read_toml
-from fieldlum.devices.ascii_lines import load_ascii_profile
-from fieldlum.devices.modbus import load_register_profile
-from fieldlum.optics.images import read_exr, read_radiance_hdr
-from fieldlum.optics.profiles import CameraProfile, camera_names, find_camera_profile
-from fieldlum.optics.raw import read_jpeg, read_mosaic
-from fieldlum.session import exposure_text
-from fieldlum.session.codec import change_of, read_object
-from fieldlum.session.files.model_files import ModelConfig
-from fieldlum.session.panorama_sun import read_panorama_with_sun
-from fieldlum.session.site_toml import site_from_table
 
 Facts = dict[str, Any]  # facts about a file by name, as --json prints them
 
@@ -69,6 +57,9 @@ def describe(path: Path, part: str = "") -> Facts:
     part: name of the part, layer or stereo view of an .exr; "" for the only one. Raises InputError
     if the file is missing, invalid or of an unknown kind.
     """
+    from fieldlum.optics.profiles import camera_names, find_camera_profile
+    from fieldlum.session.codec import change_of
+
     if not path.exists() and str(path) in camera_names():
         path = find_camera_profile(str(path))
     if path.is_dir():
@@ -102,6 +93,10 @@ def _exr(path: Path, part: str) -> Facts:
     """Return facts about a panorama, or about a picture with the view that `glare` uses."""
     import numpy as np
 
+    from fieldlum.core.records import utc_text
+    from fieldlum.optics.images import read_exr
+    from fieldlum.session.panorama_sun import read_panorama_with_sun
+
     picture, view = read_exr(path, part)
     facts: Facts = {"kind": "EXR picture", "view": view or "missing"}
     if view == "equirect":
@@ -117,6 +112,8 @@ def _exr(path: Path, part: str) -> Facts:
 
 
 def _radiance(path: Path) -> Facts:
+    from fieldlum.optics.images import read_radiance_hdr
+
     image, header = read_radiance_hdr(path)
     view = header.view or ("missing" if header.heading_deg is None else "equirect")
     return {"kind": "Radiance picture", "view": view, **_light(image.luminance_cdm2)}
@@ -124,6 +121,12 @@ def _radiance(path: Path) -> Facts:
 
 def _toml(path: Path) -> Facts:
     """Return the keys of a TOML file of fieldlum, which must be valid, and its kind."""
+    from fieldlum.core.strict_toml import build, read_toml
+    from fieldlum.devices.ascii_lines import load_ascii_profile
+    from fieldlum.devices.modbus import load_register_profile
+    from fieldlum.optics.profiles import CameraProfile
+    from fieldlum.session.site_toml import site_from_table
+
     table, kind = read_toml(path), "session"
     if "site" in table:
         kind, _ = "site", site_from_table(table, str(path))
@@ -155,6 +158,9 @@ def _csv(path: Path) -> Facts:
 
 
 def _jpeg(path: Path) -> Facts:
+    from fieldlum.optics.raw import read_jpeg
+    from fieldlum.session import exposure_text
+
     frame = read_jpeg(path)
     exposure = exposure_text(frame.exposure)
     return {"kind": "JPEG frame", "size": _size(frame.codes), "exposure": exposure}
@@ -162,6 +168,9 @@ def _jpeg(path: Path) -> Facts:
 
 def _raw(path: Path) -> Facts:
     """Return the facts of a raw frame."""
+    from fieldlum.optics.raw import read_mosaic
+    from fieldlum.session import exposure_text
+
     mosaic = read_mosaic(path)
     return {
         "kind": "raw frame",
@@ -177,6 +186,9 @@ def _raw(path: Path) -> Facts:
 
 def _folder(path: Path) -> Facts:
     """Return the facts of a session, a model or a predicted year by its folder."""
+    from fieldlum.session.codec import read_object
+    from fieldlum.session.files.model_files import ModelConfig
+
     if (path / "session.toml").is_file():
         return _toml(path / "session.toml")
     if (model := ModelConfig.find(path)) is not None:

@@ -1,8 +1,10 @@
 """`fieldlum scene`: find the geometry of a room from its captures."""
 
+from __future__ import annotations
+
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
@@ -10,7 +12,9 @@ from fieldlum.cli import terminal
 from fieldlum.cli.options import OpenSession, Port, command_of
 from fieldlum.cli.terminal import notes, print_answer, progress, say, table_lines
 from fieldlum.core.records import JsonTable
-from fieldlum.room.fit.scene_file import Scene
+
+if TYPE_CHECKING:
+    from fieldlum.room.fit.scene_file import Scene
 
 
 @click.group("scene")

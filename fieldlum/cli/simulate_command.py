@@ -1,21 +1,24 @@
 """`fieldlum simulate`: render a room at the hours of a plan."""
 
+from __future__ import annotations
+
 from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH
 from fieldlum.cli.options import DEFAULT_SIZE, CaptureSet, Seed, Year, command_of, picture_height
-from fieldlum.core.records import SiteFile
-from fieldlum.session import Session, open_session
-from fieldlum.session.folder import PlanTable
-from fieldlum.session.site_toml import load_site
-from fieldlum.weather import Weather
+
+if TYPE_CHECKING:
+    from fieldlum.core.records import SiteFile
+    from fieldlum.session import Session
+    from fieldlum.session.folder import PlanTable
+    from fieldlum.weather import Weather
 
 
 @command_of("simulate")
@@ -61,6 +64,8 @@ def command(
     import_module("numba")  # so that a missing package is reported before any file is written
     from fieldlum.room import simulate
     from fieldlum.room.scene.radiosity import box_room
+    from fieldlum.session import open_session
+    from fieldlum.session.site_toml import load_site
 
     session = open_session(site) if site.is_dir() else None
     of_plan = {"--out": out, "--set": set_, "--year": year, "--count": count}

@@ -1,11 +1,14 @@
 """`fieldlum status`: show what a session has done and what is still to do."""
 
-from fieldlum.capture.status import status
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from fieldlum.cli import terminal
 from fieldlum.cli.options import OpenSession, command_of
-from fieldlum.core.records import JsonTable, counted
-from fieldlum.session import mark_slot
-from fieldlum.session.journal import damage_text
+
+if TYPE_CHECKING:
+    from fieldlum.core.records import JsonTable
 
 
 @command_of("status")
@@ -23,6 +26,9 @@ def command(
       --mark SLOT STATE: Record the room's state at a slot: lamp=on|off, blind=up|half|down,
           tint=clear|half|full, snow=yes|no.
     """
+    from fieldlum.capture.status import status
+    from fieldlum.session import mark_slot
+
     if mark is not None:
         terminal.say(f"{mark[0]}: {mark_slot(session, *mark) or 'as usual'}")
     stage_status = status(session)
@@ -31,6 +37,9 @@ def command(
 
 def _lines(s: JsonTable) -> list[str]:
     """Return the lines that the terminal shows of an answer `s` of `status --json`."""
+    from fieldlum.core.records import counted
+    from fieldlum.session.journal import damage_text
+
     plan, capture, log = s["plan"], s["capture"], s["irradiance"]
     merge, pair = s["merge"], s["pair"]
     truth = " of the simulated truth" if pair["usable"] and not pair["done"] else ""

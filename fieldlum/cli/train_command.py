@@ -1,13 +1,18 @@
 """`fieldlum train`: fit the room's light transport and score it on held-out days."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fieldlum.cli.declared import PATH, Named
 from fieldlum.cli.options import Above0, Seed, command_of
 from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 from fieldlum.learn.model_kinds import MODELS
-from fieldlum.session.files.model_files import TrainAnswer
+
+if TYPE_CHECKING:
+    from fieldlum.session.files.model_files import TrainAnswer
+
 
 _JUDGED = ("judged_dgp_error", "judged_ev_error", "judged_log10_mse", "n_judged")
 _COLUMNS = ("name", *_JUDGED, "dgp_mae", "log10_mse_weighted", "worst", "fit_s", "n_test")

@@ -8,9 +8,6 @@ import click
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of, new_file
 from fieldlum.cli.terminal import notes, say, table_lines, tell
-from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.session import open_session
-from fieldlum.session.codec import write_csv
 
 
 def _region(text: str) -> Any:
@@ -44,7 +41,9 @@ def command(
           cone:AZ,ALT,RADIUS (degrees; azimuth from north); can be repeated.
       --csv FILE: Write the statistics of the regions.
     """
+    from fieldlum.core.errors import InputError
     from fieldlum.report import view
+    from fieldlum.session.codec import write_csv
 
     if csv_path is not None and not regions:
         raise click.UsageError("--csv has the statistics of regions: name one with --region")
@@ -77,6 +76,9 @@ def command(
 
 def _latest_panorama(path: Path) -> Path:
     """Return the latest panorama of a session, or the path itself if it is no folder."""
+    from fieldlum.core.errors import NotEnoughDataError
+    from fieldlum.session import open_session
+
     if not path.is_dir():
         return path
     panoramas = sorted(open_session(path).panorama_files())
