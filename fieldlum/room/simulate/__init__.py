@@ -146,12 +146,8 @@ def run(
         "synthetic_weather": weather.synthetic,
     }
     update_session(session, {"simulation": about})
-    return Simulated(
-        rendered=len(missing),
-        kept=int(lit.sum()) - len(missing),
-        dark=int((~lit).sum()),
-        weather=weather.name,
-    )
+    kept, dark = int(lit.sum()) - len(missing), int((~lit).sum())
+    return Simulated(len(missing), kept, dark, weather.name)
 
 
 def render_slots(folder: Path, job: _Job) -> None:
