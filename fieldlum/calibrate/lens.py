@@ -115,8 +115,12 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     missed, angle = _misses(fitted, targets)
     _check(fitted, missed[kept], angle[kept], targets)
     new = _rounded(fitted)
-    widest_deg = float(np.degrees(angle[kept].max()))
-    return LensFit(new, widest_deg, choice, _warnings(targets, missed, kept, new, lens))
+    return LensFit(
+        new,
+        widest_deg=float(np.degrees(angle[kept].max())),
+        choice=choice,
+        warnings=_warnings(targets, missed, kept, new, lens),
+    )
 
 
 def level_lens(lens: Lens) -> Lens:

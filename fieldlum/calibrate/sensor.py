@@ -196,10 +196,13 @@ def fit(levels: Levels) -> LinearityFit:
     )
     u_offset = float(np.sqrt(covariance[0, 0]))
     sure = abs(solution[0]) > 4.0 * u_offset
-    coefficients = tuple(round(float(a), 7) for a in solution[1:])
-    offset = float(f"{solution[0]:.4g}") if sure else 0.0
-    u_rel = max(round(choice.rms, 5), _REPEATS)
-    return LinearityFit(coefficients, offset, u_offset, u_rel, choice)
+    return LinearityFit(
+        tuple(round(float(a), 7) for a in solution[1:]),
+        offset_s=float(f"{solution[0]:.4g}") if sure else 0.0,
+        u_offset_s=u_offset,
+        u_rel=max(round(choice.rms, 5), _REPEATS),
+        choice=choice,
+    )
 
 
 def _residuals(solution: Floats, levels: Levels, fitted: Mask, judged: Mask) -> Floats:

@@ -195,9 +195,13 @@ def _pair_ratio(values: Floats) -> TimeRatio:
     """Return the ratio of a pair; values [3, brackets] : log ratio, its u, seconds."""
     median, noise, seconds = np.median(values, axis=1).tolist()
     apart, n = robust_sigma(values[0]), values.shape[1]
-    spread = math.sqrt(max(apart**2 - noise**2, 0.0))
-    error = math.hypot(median_standard_error(max(apart, noise), n), U_FRAME_RATIO)
-    return TimeRatio(median, spread, error, n, seconds)
+    return TimeRatio(
+        median=median,
+        spread=math.sqrt(max(apart**2 - noise**2, 0.0)),
+        error=math.hypot(median_standard_error(max(apart, noise), n), U_FRAME_RATIO),
+        brackets=n,
+        seconds=seconds,
+    )
 
 
 def _drift_per_s(bracket: Bracket, pooled: dict[Pair, TimeRatio]) -> float:

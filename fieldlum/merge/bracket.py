@@ -322,7 +322,12 @@ def _measured_sun(
     times = [s.t_utc.timestamp() for s in shown if s.t_utc is not None]
     t_utc = datetime.fromtimestamp(float(np.mean(times)), UTC) if times else None
     altitude, azimuth, sigma_deg = place
-    return MeasuredSun(round(altitude, 4), round(azimuth, 4), float(f"{sigma_deg:.3g}"), t_utc)
+    return MeasuredSun(
+        altitude_deg=round(altitude, 4),
+        azimuth_deg=round(azimuth, 4),
+        sigma_deg=float(f"{sigma_deg:.3g}"),
+        t_utc=t_utc,
+    )
 
 
 # ----------------------------------------------------------------------------------------------

@@ -107,9 +107,14 @@ def _samples(
     total = np.bincount(pixel, seen_weight, pixels)
     full = weight.reshape(last - first, sub, width, across).sum(axis=(1, 3)).ravel()
     share = seen_weight / total[pixel]
-    coverage = total / np.maximum(full, 1e-30)
-    angle_rad = np.asarray(np.bincount(pixel, share * angle.ravel()[at], pixels), float)
-    return _Samples(pixel, x.ravel()[at], y.ravel()[at], share, coverage, angle_rad)
+    return _Samples(
+        pixel,
+        x=x.ravel()[at],
+        y=y.ravel()[at],
+        share=share,
+        coverage=total / np.maximum(full, 1e-30),
+        angle_rad=np.asarray(np.bincount(pixel, share * angle.ravel()[at], pixels), float),
+    )
 
 
 def _matrix(samples: _Samples, lattice: _Lattice, sensor_shape: tuple[int, int]) -> Any:
@@ -298,9 +303,20 @@ def view_through(
     if stray is not None:
         remaining, u_stray = np.maximum(light - stray, 0.0), profile.stray.u_rel * stray
         rgb = rgb * (remaining / np.maximum(light, 1e-12))[:, None]
-    variance = var @ weights**2
-    image = (remaining, variance, coverage, edge, u_vignetting, u_ratio, flags, rgb, u_stray)
-    return LensView(*image, lens=lens, sensor=sensor, stray=stray)
+    return LensView(
+        luminance=remaining,
+        variance=var @ weights**2,
+        coverage=coverage,
+        edge=edge,
+        u_vignetting=u_vignetting,
+        u_ratio=u_ratio,
+        flags=flags,
+        rgb=rgb,
+        u_stray=u_stray,
+        lens=lens,
+        sensor=sensor,
+        stray=stray,
+    )
 
 
 def _stray_of_lens(
@@ -394,9 +410,16 @@ def finish(
     if matrix is not None and p.colour.melanopic_from_rgb:
         weights = np.array(p.colour.melanopic_from_rgb)
         attributes[MELANOPIC] = melanopic_text(weights, matrix, p.colour.melanopic_u_rel)
-    light, u = (values.reshape(shape).astype(np.float32) for values in (light, u))
-    flags, rgb = flags.reshape(shape), None if rgb is None else rgb.reshape(*shape, 3)
-    return Panorama(light, heading_deg, u, flags, t_utc, rgb=rgb, attributes=attributes)
+    return Panorama(
+        luminance_cdm2=light.reshape(shape).astype(np.float32),
+        heading_deg=heading_deg,
+        u_cdm2=u.reshape(shape).astype(np.float32),
+        flags=flags.reshape(shape),
+        t_utc=t_utc,
+        sun=None,
+        rgb=None if rgb is None else rgb.reshape(*shape, 3),
+        attributes=attributes,
+    )
 
 
 def _shared_percents(view: ProjectedImage, weight: Floats, p: CameraProfile) -> str:

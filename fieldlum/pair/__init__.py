@@ -257,8 +257,14 @@ def _light(session: Session, brackets: Sequence[BracketInterval], rows: Sequence
     states = tuple(marked.get(bracket.slot, "") for bracket in brackets)
     numbers = [(r.dni_wm2, r.dhi_wm2, r.sun_altitude_deg, r.sun_azimuth_deg) for r in rows]
     dni, dhi, altitude, azimuth = np.array(numbers).reshape(-1, 4).T
-    times = tuple(row.t_utc for row in rows)
-    return Light(times, dni, dhi, altitude, azimuth, states=states if any(states) else None)
+    return Light(
+        t_utc=tuple(row.t_utc for row in rows),
+        dni_wm2=dni,
+        dhi_wm2=dhi,
+        sun_altitude_deg=altitude,
+        sun_azimuth_deg=azimuth,
+        states=states if any(states) else None,
+    )
 
 
 def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: float) -> Shown:

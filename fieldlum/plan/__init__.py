@@ -105,8 +105,14 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
         *(weather.repairs if weather else ()),
     )
     seconds, megabytes = _cost_of(profile.bracket, exposures, setup)
-    coverage = capture_days.coverage(hours, site, weather)
-    return Plan(slots, tuple(days), seconds, megabytes, coverage, tuple(filter(None, warnings)))
+    return Plan(
+        slots,
+        days=tuple(days),
+        seconds_per_slot=seconds,
+        megabytes_per_slot=megabytes,
+        coverage=capture_days.coverage(hours, site, weather),
+        warnings=tuple(text for text in warnings if text),
+    )
 
 
 def _refuse_empty(hours: DaylightHours, finding: str, remedy: str) -> None:
@@ -138,8 +144,13 @@ def make_slots(
     slots = []
     for i, (t_utc, altitude, azimuth) in enumerate(zip(hours.t_utc, *angles, strict=True)):
         tags = (seasons[days[i]], *(name for name, rows in tagged.items() if rows[i]))
-        shown = tuple(tag for tag in tags if tag)
-        slot = Slot(t_utc, float(altitude), float(azimuth), tuple(exposures), shown)
+        slot = Slot(
+            t_utc,
+            sun_altitude_deg=float(altitude),
+            sun_azimuth_deg=float(azimuth),
+            exposures=tuple(exposures),
+            tags=tuple(tag for tag in tags if tag),
+        )
         slots.append(slot)
     return tuple(sorted(slots, key=lambda slot: slot.t_utc))
 

@@ -79,8 +79,13 @@ def _slot(cells: Mapping[str, str]) -> Slot:
     """
     altitude_deg, azimuth_deg = float(cells["sun_altitude_deg"]), float(cells["sun_azimuth_deg"])
     exposures = tuple(parse_exposure(t) for t in cells["exposures"].split(";") if t.strip())
-    t_utc, tags = parse_utc(cells["t_utc"]), tuple(cells["tags"].split())
-    slot = Slot(t_utc, altitude_deg, azimuth_deg, exposures, tags)
+    slot = Slot(
+        t_utc=parse_utc(cells["t_utc"]),
+        sun_altitude_deg=altitude_deg,
+        sun_azimuth_deg=azimuth_deg,
+        exposures=exposures,
+        tags=tuple(cells["tags"].split()),
+    )
     if slot.id != cells["slot"] or not math.isfinite(altitude_deg + azimuth_deg):
         angles = (altitude_deg, azimuth_deg)
         raise ValueError(f"slot {cells['slot']} with t_utc {cells['t_utc']}, angles {angles}")

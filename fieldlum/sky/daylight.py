@@ -129,4 +129,10 @@ def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Floats, dhi_wm2
     """
     at = sun.position(times_utc, site)
     dni, dhi = (np.full(len(times_utc), value, float) for value in (dni_wm2, dhi_wm2))
-    return Light(tuple(times_utc), dni, dhi, at.altitude_deg, at.azimuth_deg)
+    return Light(
+        t_utc=tuple(times_utc),
+        dni_wm2=dni,
+        dhi_wm2=dhi,
+        sun_altitude_deg=at.altitude_deg,
+        sun_azimuth_deg=at.azimuth_deg,
+    )

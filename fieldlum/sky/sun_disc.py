@@ -266,8 +266,15 @@ def _disc_at(
     pixels = np.zeros(band.shape, bool)
     pixels[band.rows] = inside
     altitude_deg, azimuth_deg = (float(angle) for angle in altitude_azimuth_deg(centre))
-    place, normal_lx = (altitude_deg, azimuth_deg % 360.0, float(sigma)), float(energy.sum())
-    return SunDisc(*place, normal_lx, surroundings, pixels, clipped)
+    return SunDisc(
+        altitude_deg,
+        azimuth_deg % 360.0,
+        sigma_deg=float(sigma),
+        normal_lx=float(energy.sum()),
+        surroundings_cdm2=surroundings,
+        pixels=pixels,
+        clipped=clipped,
+    )
 
 
 def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:

@@ -104,8 +104,16 @@ def synthetic_weather(site: Site, seed: int = 1) -> Weather:
     dni[dni < 1.0] = 0.0
     dhi = np.minimum(dhi, np.maximum(1.1 * clear.ghi_wm2 - dni * height, 0.0))
     note = "synthetic: pvlib clear sky times random clouds; plausible, but not this place's climate"
-    name, ghi = f"synthetic, seed {seed}", dhi + dni * height
-    return Weather(name, site, times, ghi, dhi, dni, repairs=(note,), synthetic=True)
+    return Weather(
+        name=f"synthetic, seed {seed}",
+        site=site,
+        t_utc=times,
+        dni_wm2=dni,
+        dhi_wm2=dhi,
+        ghi_wm2=dhi + dni * height,
+        repairs=(note,),
+        synthetic=True,
+    )
 
 
 def _ar1(rng: np.random.Generator, n: int, correlation: float) -> Floats:

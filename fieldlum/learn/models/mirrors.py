@@ -319,9 +319,12 @@ class Mirror:
         )  # [1 + k, n]
         ahead = (cosine > 0.0) & (light.direct_lx > 0.0) & (suns[:, 2] > 0.0)
         share = np.minimum(self.factor * glass_reflectance(cosine), 1.0)
-        chance = np.where(ahead, chances.mean(axis=0, dtype=float), 0.0)
-        shown = ahead & (chances[0] > 0.5) & self.predicted
-        return MirroredSun(towards, share * light.direct_lx, chance, shown)
+        return MirroredSun(
+            towards=towards,
+            normal_lx=share * light.direct_lx,
+            chance=np.where(ahead, chances.mean(axis=0, dtype=float), 0.0),
+            shown=ahead & (chances[0] > 0.5) & self.predicted,
+        )
 
     @property
     def warning(self) -> str:

@@ -254,8 +254,12 @@ def _glare_errors(
         np.log10(np.maximum(m.thin(58).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
         for m in (judged, replace(judged, luminance_cdm2=maps))
     )
-    slots, log10_mse = np.array(judged.slots), scores.mse_weighted[with_glare]
-    scores.maps = HeldOutMaps(slots, log10_mse, measured, predicted)
+    scores.maps = HeldOutMaps(
+        slots=np.array(judged.slots),
+        log10_mse=scores.mse_weighted[with_glare],
+        measured_log10=measured,
+        predicted_log10=predicted,
+    )
 
 
 # ----------------------------------------------------------------------------------------------

@@ -311,10 +311,15 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
     Captures whose camera turned too far to be aligned are left out; what was done goes into notes.
     """
     altitude, azimuth = sun_of_rows(path, rows, setup.site)
-    times = tuple(row.t_utc for row in rows)
-    dni, dhi = np.array([row.dni_wm2 for row in rows]), np.array([row.dhi_wm2 for row in rows])
-    states, refraction = states_of(path, rows), _refraction(path, rows)
-    light = Light(times, dni, dhi, altitude, azimuth, states=states, refraction=refraction)
+    light = Light(
+        t_utc=tuple(row.t_utc for row in rows),
+        dni_wm2=np.array([row.dni_wm2 for row in rows]),
+        dhi_wm2=np.array([row.dhi_wm2 for row in rows]),
+        sun_altitude_deg=altitude,
+        sun_azimuth_deg=azimuth,
+        states=states_of(path, rows),
+        refraction=_refraction(path, rows),
+    )
     data, has_value = read_pictures(path, rows, setup, light)
     heading, days = data.heading_deg, data.days
     maps = np.nan_to_num(data.luminance_cdm2)

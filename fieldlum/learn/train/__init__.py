@@ -22,7 +22,12 @@ from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
 from fieldlum.learn.model_kinds import MODELS
 from fieldlum.learn.models import TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
-from fieldlum.learn.models.held_out_choice import CRITERIA, choice_weights, choose, trimmed_mean
+from fieldlum.learn.models.held_out_choice import (
+    CRITERIA,
+    choice_weights,
+    choose,
+    trimmed_mean,
+)
 from fieldlum.learn.models.mirrors import Mirror, split_images
 from fieldlum.learn.models.scores import (
     Scores,
@@ -268,9 +273,16 @@ def fit_and_score(
     notes = [*notes_of(data, patch, model, trials), *left_out, *model_notes(fitted, data, patch)]
     notes += [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
     notes += [*changed, *held_out_warnings(fitted, data), *warnings_of(setting, data.setup)]
-    year, untrusted = year_of(fitted, data, patch, seed), is_untrusted(fitted, data)
     return Result(
-        fitted, tuple(trials), choice, spent.wall_s, data, tuple(notes), year, mirrors, untrusted
+        fitted=fitted,
+        trials=tuple(trials),
+        choice=choice,
+        fit_s=spent.wall_s,
+        data=data,
+        notes=tuple(notes),
+        year=year_of(fitted, data, patch, seed),
+        mirrors=mirrors,
+        untrusted=is_untrusted(fitted, data),
     )
 
 

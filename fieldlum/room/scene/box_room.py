@@ -270,7 +270,15 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
     inner, outer = _faces_m(room, window.wall)
     span = (max(start, 0.0), min(start + window.width_m, length))
     heights = (window.sill_m, min(top, room.height_m))
-    return Opening(axis, 2 * side - 1, inner, outer, span, heights, window.transmittance)
+    return Opening(
+        axis,
+        outward=2 * side - 1,
+        inner_m=inner,
+        outer_m=outer,
+        u_m=span,
+        z_m=heights,
+        transmittance=window.transmittance,
+    )
 
 
 def _faces_m(room: Room, wall: str) -> Span:

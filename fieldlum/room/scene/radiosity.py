@@ -160,10 +160,19 @@ def cut_into_pieces(scene: BoxScene, piece_m: float) -> Pieces:
     total = np.stack([np.bincount(piece, position[:, k], len(of)) for k in range(3)], axis=1)
     with np.errstate(invalid="ignore"):
         middle = total / count[:, None]
-    of_faces = (low, high - low, counts, first)
-    axis, sign = axis[of].astype(np.int8), sign[of].astype(np.int8)
-    of_pieces = (axis, sign, scene.reflectance[of // 6], middle)
-    return Pieces(*of_faces, *of_pieces, position, piece, share=1.0 / count[piece])
+    return Pieces(
+        low,
+        size=high - low,
+        counts=counts,
+        first=first,
+        axis=axis[of].astype(np.int8),
+        sign=sign[of].astype(np.int8),
+        reflectance=scene.reflectance[of // 6],
+        middle=middle,
+        position=position,
+        piece=piece,
+        share=1.0 / count[piece],
+    )
 
 
 def _is_free(
@@ -366,9 +375,15 @@ class LitRoom:
             colour = self._colour(light, outdoors, sunlit.T, shown, seen_cdm2)
             colour = colour.reshape(n, height, -1, 3)
         visible, through = trace.disc_visibility(self.view.scene, toward)
-        luminance, patches = (maps.reshape(n, height, -1) for maps in (out, given))
-        disc_lx = direct_lx * visible * through
-        return Rendering(luminance, patches, disc_lx, visible, light, points_lx, colour)
+        return Rendering(
+            luminance_cdm2=out.reshape(n, height, -1),
+            patch_cdm2=given.reshape(n, height, -1),
+            disc_lx=direct_lx * visible * through,
+            visible_fraction=visible,
+            light=light,
+            points_lx=points_lx,
+            colour=colour,
+        )
 
     def _colour(
         self,
@@ -474,9 +489,13 @@ class LitRoom:
             glass = trace.disc_glass(scene, scene.to_room(light.apparent_sun_direction[k]))
             about[trace.DISC_RAYS] = "".join("1" if ray else "0" for ray in glass > 0)
         if rendering.disc_lx[k] > 0:
-            values = (light.apparent_altitude_deg, light.sun_azimuth_deg, rendering.disc_lx)
-            altitude, azimuth, disc_lx = (float(value[k]) for value in values)
-            sun = SunSource(altitude, azimuth, disc_lx, visible, origin="rendering")
+            sun = SunSource(
+                altitude_deg=float(light.apparent_altitude_deg[k]),
+                azimuth_deg=float(light.sun_azimuth_deg[k]),
+                normal_illuminance_lx=float(rendering.disc_lx[k]),
+                visible_fraction=visible,
+                origin="rendering",
+            )
         heading, t_utc, rgb = self.view.heading_deg, light.t_utc[k], None
         luminance = rendering.luminance_cdm2[k]
         if rendering.colour is not None:
@@ -521,10 +540,20 @@ def lit_room(
     )
     of_pieces = (spread @ gathered).tocsr()
     normals = np.eye(3)[s.axis] * s.sign[:, None]
-    of_points = _form_factors(scene, pieces, s.position, normals, how.pixel_rays, threads)
+    point_coefficients = _form_factors(scene, pieces, s.position, normals, how.pixel_rays, threads)
     reach_m = np.linalg.norm(s.position - scene.camera_m, axis=1) * np.pi / height * _SHARED_PX
     smooth = near_light((s.position, faces), (s.position, faces), _SHARED, reach_m)
     luminance = (s.weight * scene.reflectance[s.box] / np.pi).astype(np.float32)
     to_pixels = csr_matrix((luminance, (s.pixel, np.arange(m))), (2 * height**2, m))
-    outdoor, bounces = of_pieces[:, :FIRST_PIECE].tocsr(), of_pieces[:, FIRST_PIECE:].tocsr()
-    return LitRoom(setup, view, pieces, s, faces, of_points, smooth, to_pixels, outdoor, bounces)
+    return LitRoom(
+        setup,
+        view,
+        pieces,
+        s,
+        faces,
+        point_coefficients=point_coefficients,
+        smooth=smooth,
+        to_pixels=to_pixels,
+        outdoor_coefficients=of_pieces[:, :FIRST_PIECE].tocsr(),
+        bounce_coefficients=of_pieces[:, FIRST_PIECE:].tocsr(),
+    )

@@ -146,8 +146,12 @@ def run(
         "synthetic_weather": weather.synthetic,
     }
     update_session(session, {"simulation": about})
-    kept, dark = int(lit.sum()) - len(missing), int((~lit).sum())
-    return Simulated(len(missing), kept, dark, weather.name)
+    return Simulated(
+        rendered=len(missing),
+        kept=int(lit.sum()) - len(missing),
+        dark=int((~lit).sum()),
+        weather=weather.name,
+    )
 
 
 def render_slots(folder: Path, job: _Job) -> None:

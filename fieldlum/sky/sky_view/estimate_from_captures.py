@@ -332,9 +332,21 @@ def _decided(
     u = np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0)
     count = np.where(stack.dark, len(light), stack.placed(seen.count))
     blind = np.isnan(ratio) & ~stack.dark
-    shares = (openness, u, count, np.where(stack.dark, 0.0, pane), low, high)
-    channels = (np.where(blind, np.nan, values).astype(np.float32) for values in shares)
-    view = SkyView(stack.grid, *channels, captures=len(light), pose=pose)
+
+    def channel(values: Floats) -> Floats32:
+        return np.where(blind, np.nan, values).astype(np.float32)
+
+    view = SkyView(
+        stack.grid,
+        openness=channel(openness),
+        u=channel(u),
+        count=channel(count),
+        transmittance=channel(np.where(stack.dark, 0.0, pane)),
+        low=channel(low),
+        high=channel(high),
+        captures=len(light),
+        pose=pose,
+    )
     return _Decided(view, sky, bright, scatters, reference)
 
 

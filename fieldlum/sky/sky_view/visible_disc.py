@@ -50,10 +50,13 @@ def disc_of_hours(view: SkyView, light: Light) -> DiscOfHours:
     for rows, part in view.of_hours(light):
         suns = part.pose.in_pictures(light.apparent_sun_direction[rows])
         best[rows], low[rows], high[rows] = _over_disc(part, suns)
-    shares = (best, low, high)
-    best_lx, low_lx, high_lx = (np.nan_to_num(share) * light.direct_lx for share in shares)
-    not_seen = np.isnan(best) & (light.direct_lx > 0.0)
-    return DiscOfHours(np.where(best_lx < _MIN_LX, 0.0, best_lx), low_lx, high_lx, not_seen)
+    best_lx = np.nan_to_num(best) * light.direct_lx
+    return DiscOfHours(
+        best_lx=np.where(best_lx < _MIN_LX, 0.0, best_lx),
+        low_lx=np.nan_to_num(low) * light.direct_lx,
+        high_lx=np.nan_to_num(high) * light.direct_lx,
+        not_seen=np.isnan(best) & (light.direct_lx > 0.0),
+    )
 
 
 def drawn_shares(
