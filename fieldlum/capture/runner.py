@@ -137,9 +137,13 @@ def run(
     """
     uris = {"camera": camera_uri, "pyranometer": pyranometer_uri, "meter": meter_uri}
     stated = {"camera": open_cam, "pyranometer": open_pyr, "meter": open_met}
-    arguments = {"clock": clock, "session": session}
+    opens: dict[str, Callable[..., Camera | Pyranometer | IlluminanceMeter]] = {
+        "camera": devices.open_camera,
+        "pyranometer": devices.open_pyranometer,
+        "meter": devices.open_meter,
+    }
     openers = {
-        name: stated[name] or partial(getattr(devices, f"open_{name}"), uri, **arguments)
+        name: stated[name] or partial(opens[name], uri, clock=clock, session=session)
         for name, uri in uris.items()
         if uri or stated[name]
     }
