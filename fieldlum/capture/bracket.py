@@ -364,8 +364,15 @@ def write_capture(
     frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
     readings = state.illuminance_lx
     opened, closed = interval_of(frames)
-    lux = sum(readings) / len(readings) if readings else None
     capture = CaptureFile(
-        slot.id, frames, opened, closed, complete, setup.profile, setup.heading_deg, camera, lux
+        slot=slot.id,
+        frames=frames,
+        t_open_utc=opened,
+        t_close_utc=closed,
+        complete=complete,
+        profile=setup.profile,
+        heading_deg=setup.heading_deg,
+        camera=camera,
+        illuminance_lx=sum(readings) / len(readings) if readings else None,
     )
     capture.write(folder / "capture.json")

@@ -426,8 +426,16 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     judged = np.flatnonzero(visible | shows)
     chance, wrong = _chance(data, judged, towards[judged], at[judged], visible[judged])
     east, north, up = plane.normal.tolist()
-    normal, measured = (east, north, up), bool(valid.any())
-    return Mirror(normal, plane.u_deg, len(rows), factor, measured, len(judged), wrong, chance)
+    return Mirror(
+        normal=(east, north, up),
+        u_deg=plane.u_deg,
+        captures=len(rows),
+        factor=factor,
+        measured=bool(valid.any()),
+        judged=len(judged),
+        wrong=wrong,
+        chance=chance,
+    )
 
 
 def _chance(
