@@ -15,7 +15,7 @@ from fieldlum.learn.models.training_data import Dataset
 from fieldlum.year.glare.sources import view_azimuths_deg
 from fieldlum.year.glare.standards import class_of, exceeded_in_share, protection
 from fieldlum.year.predict.hour_blocks import predict_figures, room_of
-from fieldlum.year.predict.year import default_occupancy
+from fieldlum.year.predict.occupancy import default_occupancy
 
 TOLERANCE = 1e-3  # of DGP: half a digit of what a report prints
 

@@ -47,7 +47,7 @@ from fieldlum.sky import sun
 from fieldlum.weather import read_weather
 from fieldlum.weather.formats import read_table
 from fieldlum.weather.plausibility import _horizontal_beam as horizontal_beam
-from fieldlum.year.predict.year import read_occupancy
+from fieldlum.year.predict.occupancy import read_occupancy
 
 NORTH = Site("Town", 52.3, 4.8, "Europe/Amsterdam", 10.0)
 EAST = Site("Town", 35.7, 139.7, "Asia/Tokyo", 10.0)

@@ -30,13 +30,8 @@ from fieldlum.year.glare import standards
 from fieldlum.year.predict import Annual, read_annual, read_pictures, run
 from fieldlum.year.predict.annual import rounded
 from fieldlum.year.predict.hour_blocks import ModelRoom, blocks
-from fieldlum.year.predict.year import (
-    are_full_years,
-    default_occupancy,
-    light_of,
-    occupied_hours,
-    read_occupancy,
-)
+from fieldlum.year.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
+from fieldlum.year.predict.year import are_full_years, light_of
 
 DATA = dataset(("2027-03-20", "2027-06-21"), height=16)
 SITE = DATA.setup.site

@@ -1,0 +1,143 @@
+"""Define when the room is used: by EN 17037's default, or by a small csv."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime, time, timedelta
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from fieldlum.core.arrays import Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
+from fieldlum.core.records import Site
+from fieldlum.core.strict_csv import read_table
+from fieldlum.sky.sun import hour_of_year, position, standard_date, standard_midnight
+
+DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
+_DAY = re.compile(r"(mon|tues?|wed(nes)?|thu(rs?)?|fri|sat(ur)?|sun)(day)?")
+_HOUR = timedelta(hours=1)
+EXPECTED = (
+    "columns days,start,end (mon-fri,08:00,18:00), or a column occupied with 8760 rows of 0 or 1, "
+    "for the hours of local standard time from 1 January 00:00"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Occupancy:
+    """When the room is used; `text` describes it.
+
+    periods: weekday (0 is Monday), start (included) and end (excluded) in local clock time. hourly,
+    if set, replaces them: a mask [8760], True if used, from 1 January 00:00 in local standard time,
+    without 29 February.
+    """
+
+    text: str
+    periods: tuple[tuple[int, time, time], ...] = ()
+    hourly: Mask | None = None
+
+    def at(self, times_utc: Sequence[datetime], timezone: str) -> Mask:
+        """Return a mask [n]: True for the times at which the room is used.
+
+        times_utc: aware times; timezone: IANA name of the room's time zone.
+        """
+        if self.hourly is not None:
+            rows = [hour_of_year(t, timezone) for t in times_utc]
+            return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
+        local = [t.astimezone(ZoneInfo(timezone)) for t in times_utc]
+        used = [
+            any(day == t.weekday() and a <= t.time() < b for day, a, b in self.periods)
+            for t in local
+        ]
+        return np.array(used, bool)
+
+
+def default_occupancy() -> Occupancy:
+    """Return 08:00 to 18:00 local clock time on every day, as EN 17037's annex is usually read."""
+    periods = tuple((day, time(8), time(18)) for day in range(7))
+    return Occupancy("08:00 to 18:00 every day", periods)
+
+
+def read_occupancy(path: Path) -> Occupancy:
+    """Read a csv of when the room is used.
+
+    Its columns are days, start and end (mon-fri,08:00,18:00), or it has a column `occupied` with
+    8760 rows of 0 or 1, for the hours of local standard time from 1 January 00:00.
+
+    Raises InputError for a file that cannot be read, or for other content.
+    """
+    table = read_table(path, EXPECTED, "write a line of column names and its rows")
+    if "occupied" in table.names:
+        return _hourly(path, table.rows, table.names.index("occupied"))
+    if table.names != ("days", "start", "end"):
+        found = f"columns {', '.join(table.names)}"
+        raise InputError(path, found, EXPECTED, "correct the first line")
+    periods: list[tuple[int, time, time]] = []
+    for number, (days, *times) in table.rows:
+        expected = "days and times such as mon-fri,08:00,18:00"
+        with input_errors(path, expected, f"correct line {number}", ValueError):
+            start, end = map(_time, times)
+            if not start < end:
+                raise ValueError(f"{times[0]} is not before {times[1]}")
+            periods += [(day, start, end) for day in _days(days)]
+    if not periods:
+        raise InputError(path, "no period in the file", EXPECTED, "write one row for each period")
+    return Occupancy("; ".join(" ".join(row) for _, row in table.rows), tuple(periods))
+
+
+def _time(cell: str) -> time:
+    """Return a time of day such as 08:00 or 8:00; 24:00 is the end of the day."""
+    if not (parts := re.fullmatch(r"(\d?\d)(:\d\d(?::\d\d)?)", cell)):
+        raise ValueError(f"the time '{cell}'")
+    return time.max if cell == "24:00" else time.fromisoformat(parts[1].zfill(2) + parts[2])
+
+
+def _days(text: str) -> Iterator[int]:
+    """Yield the days of a text such as "mon-fri sun"; raise ValueError for another one."""
+    for part in re.sub(r"\s*[-\u2013]\s*", "-", text.lower()).split():
+        first, dash, last = part.partition("-")
+        ends = [name for name in (first, last if dash else first) if _DAY.fullmatch(name)]
+        if len(ends) < 2:
+            raise ValueError(f"unknown days '{text}'")
+        first_day, last_day = (DAYS.index(name[:3]) for name in ends)
+        yield from ((first_day + k) % 7 for k in range((last_day - first_day) % 7 + 1))
+
+
+def _hourly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]], column: int) -> Occupancy:
+    """Return the occupancy of a csv with 0 or 1 for each hour; rows: (line number, cells).
+
+    column: index of that with 0 or 1. Raises InputError for other cells or another number of rows.
+    """
+    if len(rows) != 8760:
+        raise InputError(path, f"{len(rows)} rows", EXPECTED, "write a row for each hour")
+    for number, row in rows:
+        if row[column] not in ("0", "1"):
+            found = f"line {number}: occupied is '{row[column]}'"
+            raise InputError(path, found, "0 or 1", "correct the value")
+    hours = np.array([row[column] == "1" for _, row in rows])
+    return Occupancy(f"{int(hours.sum())} hours from {path.name}", hourly=hours)
+
+
+def occupied_hours(
+    occupancy: Occupancy, times_utc: Sequence[datetime], site: Site
+) -> tuple[int, int]:
+    """Return the number of occupied hours on the days of a weather file, and the number of days.
+
+    times_utc: middles of the hours with weather; days are dates in local standard time. Occupied
+    hours in the dark count; site: for its time zone and sun. An hour with the sun up but without
+    weather does not count, because it would look like an hour without glare. Raises
+    NotEnoughDataError if no hour counts.
+    """
+    zone = site.timezone
+    days = sorted({standard_date(t, zone) for t in times_utc})
+    starts = [standard_midnight(day, zone) for day in days]
+    middles = np.array([start + (k + 0.5) * _HOUR for start in starts for k in range(24)])
+    with_weather = {(t - starts[0]) // _HOUR for t in times_utc}
+    blank = np.array([(t - starts[0]) // _HOUR not in with_weather for t in middles])
+    used = occupancy.at(middles.tolist(), zone)
+    used[blank] &= position(middles[blank].tolist(), site).altitude_deg <= 0.0
+    if not used.any():
+        found = f"the weather file has no values for any occupied hour ({occupancy.text})"
+        raise NotEnoughDataError(f"{found} on its {len(days)} days; correct --occupancy")
+    return int(used.sum()), len(days)
