@@ -22,12 +22,7 @@ from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
 from fieldlum.learn.model_kinds import MODELS
 from fieldlum.learn.models import TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
-from fieldlum.learn.models.held_out_choice import (
-    CRITERIA,
-    choice_weights,
-    choose,
-    trimmed_mean,
-)
+from fieldlum.learn.models.held_out_choice import CRITERIA, choice_weights, choose, trimmed_mean
 from fieldlum.learn.models.mirrors import Mirror, split_images
 from fieldlum.learn.models.scores import (
     Scores,
