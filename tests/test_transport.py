@@ -130,8 +130,8 @@ def test_held_out_days_equal_fits_without_them(monkeypatch: pytest.MonkeyPatch) 
         Columns.of(arrays, unit, light)
         for light in (arrays.computed.luminance, arrays.computed.perez)
     )
-    dark = 0.03 * np.exp(np.log(target).mean(axis=0))
-    weights = arrays.trust / np.maximum(target, dark) ** 2
+    usual = np.exp(np.log(target).mean(axis=0))
+    weights = arrays.trust / np.maximum(target, usual) ** 2
     first = np.empty_like(target)
     for day in np.unique(arrays.days):
         out, kept = arrays.days == day, arrays.days != day
@@ -276,6 +276,21 @@ def test_captures_under_changing_light_teach_less() -> None:
         for data in (off, replace(off, steadiness=change))
     )
     assert known < 0.9 * unknown
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_person_in_one_capture_is_not_learnt(seed: int) -> None:
+    """Not in that hour, and not in hours with nearly the same sun."""
+    data = toy([0, 1, 2, 3, 90, 91, 92, 93], seed)
+    dim = int(np.argsort(data.light.total_lx)[len(data) // 3])
+    hidden = np.s_[8:13, 24:27]  # of a wall
+    maps = data.luminance_cdm2.copy()
+    maps[dim][hidden] = 0.04 * np.median(maps[dim])
+    fitted = fit(replace(data, luminance_cdm2=maps))
+    predicted = fitted.predict(data.light, data.patch_cdm2).luminance_cdm2
+    error = np.abs(np.log10(predicted / data.luminance_cdm2))[:, *hidden].mean(axis=(1, 2))
+    assert error[dim] < 0.2 and np.delete(error, dim).mean() < 0.01  # of a person: over 1.1
 
 
 @pytest.mark.slow

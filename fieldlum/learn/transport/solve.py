@@ -245,10 +245,12 @@ def fit_chunk(arrays: TrainingArrays, scale: Array, basis: Basis, noise: float) 
     target = np.maximum(arrays.luminance, MIN_CDM2) / unit
     computed = None if arrays.computed is None else arrays.computed.luminance
     columns = Columns.of(arrays, unit, computed)
-    # Values under 3 % of the pixel's usual light, such as a hand in front of the lens, get no more
-    # weight than a value of 3 %.
-    dark = 0.03 * np.exp(np.mean(np.log(target), axis=0))
-    response, weights = target, arrays.trust / np.maximum(target, dark) ** 2
+    # Values under 3 % of the pixel's usual light get no more weight than a value of 3 %, and at
+    # first none more than the usual one: else a person before a wall, who is dark in one hour, had
+    # the weight of a hundred hours, and the robust round began at the person.
+    usual = np.exp(np.mean(np.log(target), axis=0))
+    dark, response = 0.03 * usual, target
+    weights = arrays.trust / np.maximum(target, usual) ** 2
     # b: coefficients of the basis
     b, gains = solve(basis, columns, response, weights, noise)
     for _ in range(ROUNDS):
