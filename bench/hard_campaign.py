@@ -227,15 +227,11 @@ def _campaign(
     setup = load_site(asked.site)
     made = (out / "session.toml").is_file()
     session = open_session(out) if made else create_session(out, setup, slots, {"set": "hard"})
-    simulate.run(
-        session,
-        simulate.weather_for(setup),
-        height=asked.height,
-        quality="draft",
-        workers=1,
-    )
-    if troubles is not None and not made:
-        _trouble(session, troubles, asked.height)
+    if not made:  # a second rendering would write the readings without their troubles
+        weather = simulate.weather_for(setup)
+        simulate.run(session, weather, height=asked.height, quality="draft", workers=1)
+        if troubles is not None:
+            _trouble(session, troubles, asked.height)
     return load_pairs(session)
 
 
