@@ -23,9 +23,9 @@ class Contrasts:
     group: Indices
 
     def residual_of(self, column: Floats, weights: Floats) -> Floats:
-        """Return what is left of a column [m] without each group's own multiple of `values`.
+        """Return a column [m] minus each group's multiple of `values`, by weighted least squares.
 
-        The multiples are by weighted least squares.         weights: [m], at least 0.
+        weights: [m], at least 0.
         """
         along = np.bincount(self.group, weights * self.values * column)
         norm = np.bincount(self.group, weights * self.values**2)

@@ -224,7 +224,7 @@ def _complete_suns(
 ) -> list[PairRow]:
     """Write sky_view.exr and suns.csv, and with a room the patches; return the completed rows.
 
-    Suns that the picture does not measure get that share of DNI which the sky view shows.
+    A sun that the picture does not measure gets DNI times the share of the beam by the sky view.
     """
     light = _light(session, brackets, rows)
     expected = zip(light.direct_lx, light.apparent_altitude_deg, strict=True)

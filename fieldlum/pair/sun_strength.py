@@ -63,7 +63,7 @@ def completed_sun(
 def min_normal_lx(sun: SunSource) -> float:
     """Return the normal illuminance that a clipped disc has at least [lx].
 
-    0 for a disc that is not clipped: it was measured, so that its picture is no bound.
+    0 for other discs, whose picture is a measurement or shows nothing, and no lower bound.
     """
     return sun.normal_illuminance_lx if sun.origin == CLIPPED_SUN else 0.0
 

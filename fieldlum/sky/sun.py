@@ -217,11 +217,11 @@ RISE_ALTITUDE_DEG = -0.8333
 
 
 def rise_transit_set(day: date, site: Site) -> DayOfSun:
-    """Return rise, transit and set of a local standard day in UTC, to the minute of their begin.
+    """Return rise, transit and set of a local standard day in UTC, each to the minute.
 
-    Those of the upper limb, with refraction; None for what does not happen on that day. pvlib's own
-    times are wrong by up to a day's drift (85 s at Sydney's equinox) far from Greenwich, and by
-    minutes where the sun touches the horizon.
+    Rise and set are those of the upper limb, with refraction; None if the event does not happen.
+    pvlib's own times are wrong by up to a day's drift (85 s at Sydney's equinox) far from
+    Greenwich, and by minutes where the sun touches the horizon.
     """
     start = standard_midnight(day, site.timezone)
     times = [start + timedelta(minutes=k) for k in range(1441)]

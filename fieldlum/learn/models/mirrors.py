@@ -408,7 +408,7 @@ def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
 def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     """Return a plane with the energy of its images, and where they are visible; see `Mirror`."""
     suns, rows = data.light.apparent_sun_direction, np.array([image.row for image in plane.images])
-    full_lx = glass_reflectance(suns @ plane.normal) * data.light.direct_lx  # [n], of a pane
+    full_lx = glass_reflectance(suns @ plane.normal) * data.light.direct_lx  # [n], if of glass
     factors = np.array([image.spot.normal_lx for image in plane.images]) / full_lx[rows]
     # An image is measured if none of its pixels is clipped, moving or filled.
     counts = np.broadcast_to(1.0, data.luminance_cdm2.shape) if data.counts is None else data.counts

@@ -391,10 +391,10 @@ def _model_sha256(folder: Path) -> str:
 
 
 def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
-    """Return at most two notes on a light transport model: none for other models.
+    """Return at most two notes on a light transport model, and none on other models.
 
-    How far the sky in the windows was from the expected one, if windows show the sky; and a warning
-    if the stated room was not used. data: the captures of the fit. patch: with "none" no room is
+    The first states how far the sky in the windows was from the expected one; the second warns that
+    the stated room was not used. data: the captures of the fit. patch: with "none" no room is
     needed.
     """
     notes, captured = [], getattr(getattr(fitted, "fitted", fitted), "captured", None)

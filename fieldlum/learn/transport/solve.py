@@ -245,9 +245,10 @@ def fit_chunk(arrays: TrainingArrays, scale: Array, basis: Basis, noise: float) 
     target = np.maximum(arrays.luminance, MIN_CDM2) / unit
     computed = None if arrays.computed is None else arrays.computed.luminance
     columns = Columns.of(arrays, unit, computed)
-    # Values under 3 % of the pixel's usual light get no more weight than a value of 3 %, and at
-    # first none more than the usual one: else a person before a wall, who is dark in one hour, had
-    # the weight of a hundred hours, and the robust round began at the person.
+    # A value under 3 % of the pixel's usual light has the weight of one of 3 %. In the first solve
+    # no value has more weight than the usual one. Otherwise a person, whose clothes are a tenth as
+    # bright as the wall behind, has the weight of a hundred hours, and the robust round, which
+    # starts at that solution, keeps the person.
     usual = np.exp(np.mean(np.log(target), axis=0))
     dark, response = 0.03 * usual, target
     weights = arrays.trust / np.maximum(target, usual) ** 2
