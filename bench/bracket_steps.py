@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.calibrate import response
-from fieldlum.optics.photometry import response_table
+from fieldlum.optics.camera_curves import response_table
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens
 from fieldlum.optics.raw import read_jpeg
 

@@ -26,8 +26,9 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, merge_shots, shots_of_files
+from fieldlum.optics.camera_curves import response_table, vignetting_at
+from fieldlum.optics.illuminance import illuminance_lx
 from fieldlum.optics.images import write_panorama
-from fieldlum.optics.photometry import illuminance_lx, response_table, vignetting_at
 from fieldlum.optics.profiles import (
     CameraProfile,
     Colour,

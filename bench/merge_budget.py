@@ -32,8 +32,9 @@ from fieldlum.merge.linear_frames import Crop, lens_crop
 from fieldlum.merge.project import blend, finish, u_of_edges, view_through
 from fieldlum.merge.sensor_frames import SensorImage
 from fieldlum.merge.shots import U_REPEAT, Shot, sorted_shots
+from fieldlum.optics.camera_curves import response_table, vignetting_at
+from fieldlum.optics.exposure import z_per_cdm2
 from fieldlum.optics.linear_light import lens_geometry, true_shutter_s
-from fieldlum.optics.photometry import response_table, vignetting_at, z_per_cdm2
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,

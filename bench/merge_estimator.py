@@ -17,7 +17,7 @@ import numpy as np
 from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.linear_frames import RawSignal
 from fieldlum.merge.ratios import bracket_pairs, fit_ratios, take_samples
-from fieldlum.optics.photometry import prior_u_log, true_times_s
+from fieldlum.optics.exposure import prior_u_log, true_times_s
 
 GAIN, READ_E, BLACK, SATURATION, WHITE = 4.0, 6.0, 512.0, 15000.0, 16383.0
 NOMINAL_S = (13.0, 3.2, 0.8, 0.2, 1 / 20, 1 / 80, 1 / 320, 1 / 1250)

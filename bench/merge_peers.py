@@ -89,7 +89,7 @@ OWN = "fieldlum"
 
 def make_frames(folder: Path, width: int, height: int) -> tuple[list[Path], np.ndarray]:
     from fieldlum.core.records import Exposure
-    from fieldlum.optics.photometry import z_per_cdm2
+    from fieldlum.optics.exposure import z_per_cdm2
     from fieldlum.optics.raw.writing import write_dng
 
     rng = np.random.default_rng(1)

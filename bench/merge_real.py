@@ -31,8 +31,9 @@ from fieldlum.merge import MergeOptions, files_to_picture
 from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.linear_frames import JpegSignal
 from fieldlum.merge.shift import shifts
+from fieldlum.optics.camera_curves import dark_floor, fit_response
+from fieldlum.optics.exposure import true_times_s
 from fieldlum.optics.images import read_radiance_hdr
-from fieldlum.optics.photometry import dark_floor, fit_response, true_times_s
 from fieldlum.optics.profiles import CameraProfile, Response, load_camera_profile
 from fieldlum.optics.projection import LensGeometry
 from fieldlum.optics.raw import read_jpeg

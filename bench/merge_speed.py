@@ -19,7 +19,7 @@ import numpy as np
 from fieldlum.core.records import Exposure
 from fieldlum.merge import MergeOptions, merge_sensor, merge_shots
 from fieldlum.merge.shots import shots_of_files, sorted_shots
-from fieldlum.optics.photometry import response_table
+from fieldlum.optics.camera_curves import response_table
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,

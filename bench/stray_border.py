@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from fieldlum.merge.shots import shots_of_files
-from fieldlum.optics.photometry import response_table
+from fieldlum.optics.camera_curves import response_table
 from fieldlum.optics.profiles import load_camera_profile
 
 RINGS = ((1.03, 1.08), (1.15, 1.3))  # distance from the centre over the circle's radius

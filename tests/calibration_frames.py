@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import true_times_s, z_per_cdm2
+from fieldlum.optics.exposure import true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 from fieldlum.cli import main, scene_command
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import z_per_cdm2
+from fieldlum.optics.exposure import z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
 from fieldlum.optics.raw.writing import write_dng
 from fieldlum.room.fit.scene_file import read_scene

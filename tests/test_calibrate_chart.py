@@ -12,7 +12,7 @@ from fieldlum.calibrate import colour as chart
 from fieldlum.calibrate.fit_steps import LinearFrame
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import response_table
+from fieldlum.optics.camera_curves import response_table
 
 CAMERA = np.array(
     [[0.60, 0.30, 0.05], [0.15, 0.75, 0.10], [0.02, 0.25, 0.60]]

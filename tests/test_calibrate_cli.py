@@ -16,8 +16,8 @@ from fieldlum.core.records import Exposure, Panorama
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
+from fieldlum.optics.camera_curves import vignetting_at
 from fieldlum.optics.images import write_panorama
-from fieldlum.optics.photometry import vignetting_at
 from fieldlum.optics.profiles import Lens, Response, load_camera_profile, save_profile
 from fieldlum.optics.projection import direction, equirect_rays, lens_pixels
 

@@ -12,7 +12,7 @@ from fieldlum.calibrate.fit_charts import Place
 from fieldlum.calibrate.fit_steps import LinearFrame, linear_frame, transmission
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import response_table, vignetting_at
+from fieldlum.optics.camera_curves import response_table, vignetting_at
 from fieldlum.optics.profiles import CameraProfile, Colour
 
 

@@ -15,8 +15,8 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure
 from fieldlum.merge.linear_frames import Crop, load_raw
 from fieldlum.merge.shots import Shot
+from fieldlum.optics.camera_curves import linearity_factor
 from fieldlum.optics.linear_light import curve_u_rel, true_shutter_s
-from fieldlum.optics.photometry import linearity_factor
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,

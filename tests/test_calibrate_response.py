@@ -12,7 +12,8 @@ from fieldlum.calibrate import (
 )
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import response_table, true_times_s
+from fieldlum.optics.camera_curves import response_table
+from fieldlum.optics.exposure import true_times_s
 from fieldlum.optics.profiles import (
     CameraBody,
 )

@@ -34,7 +34,7 @@ def test_scale_with_an_outlier(tmp_path: Path) -> None:
         seen = scale.spot_cdm2(picture, azimuth, -20.0)[0]
         lines.append(f"p.exr,{azimuth},-20,{1.08 * seen * (1 + 0.02 * rng.normal()):.2f},")
     lines.append("p.exr,180,30,2000,")
-    from fieldlum.optics.photometry import illuminance_lx
+    from fieldlum.optics.illuminance import illuminance_lx
 
     lines.append(f"p.exr,180,0,,{1.08 * illuminance_lx(luminance, 180.0, 0.0, 180.0):.1f}")
     table = tmp_path / "spots.csv"

@@ -18,7 +18,7 @@ from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id, utc_text
 from fieldlum.merge import MergeOptions, merge_shots, shots_of_files
-from fieldlum.optics.photometry import z_per_cdm2
+from fieldlum.optics.exposure import z_per_cdm2
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fieldlum.calibrate.response import Steps, steps_by_overlap
-from fieldlum.optics.photometry import true_times_s
+from fieldlum.optics.exposure import true_times_s
 
 NOMINAL_S = np.array([1 / 60, 1 / 30, 1 / 15, 1 / 8, 1 / 4, 1 / 2, 1, 2])
 THIRDS_S = true_times_s(NOMINAL_S, "third-stops")

@@ -14,7 +14,7 @@ from fieldlum.calibrate import (
 )
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import vignetting_at
+from fieldlum.optics.camera_curves import vignetting_at
 from fieldlum.optics.projection import LensGeometry, direction, lens_pixels
 
 

@@ -16,8 +16,10 @@ PACKAGE = Path(__file__).parents[1] / "fieldlum"
 RANKS = (
     {"core", "learn.model_kinds", "version"},
     {
+        "optics.camera_curves",
+        "optics.exposure",
+        "optics.illuminance",
         "optics.melanopic",
-        "optics.photometry",
         "optics.projection",
         "optics.stray_light",
         "sky",

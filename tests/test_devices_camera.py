@@ -15,9 +15,10 @@ from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.camera import SimulatedCamera, camera_from_scene
 from fieldlum.devices.simulated.world import SimulatedLight, TruthWorld
 from fieldlum.optics import projection
+from fieldlum.optics.camera_curves import vignetting_at
+from fieldlum.optics.exposure import z_per_cdm2
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.linear_light import lens_geometry, true_shutter_s
-from fieldlum.optics.photometry import vignetting_at, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile, load_camera_profile
 from fieldlum.optics.raw import read_jpeg, read_mosaic
 
@@ -164,7 +165,7 @@ def test_colours_come_back_through_the_profile(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.analytic
 def test_jpeg_follows_its_response(tmp_path: Path) -> None:
-    from fieldlum.optics.photometry import response_table
+    from fieldlum.optics.camera_curves import response_table
 
     profile = load_camera_profile("sim-dual-fisheye-jpeg")
     frame = read_jpeg(camera(uniform(900.0), profile).expose(DIAL, tmp_path / "f"))

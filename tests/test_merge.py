@@ -25,8 +25,8 @@ from fieldlum.merge.linear_frames import JpegSignal, RawSignal, lens_crop, load_
 from fieldlum.merge.project import LensView, blend
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.merge.sun_and_sky import disc_px, mosaic_u_rel, take_out_disc
+from fieldlum.optics.illuminance import vertical_illuminance_lx
 from fieldlum.optics.linear_light import vignetting_of
-from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import (
     CameraProfile,
     Lens,

@@ -12,7 +12,7 @@ from fieldlum.core.records import Exposure
 from fieldlum.merge import merge_sensor, shots_of_files
 from fieldlum.merge.sensor_frames import NO_NOISE
 from fieldlum.merge.shots import sorted_shots
-from fieldlum.optics.photometry import true_times_s, z_per_cdm2
+from fieldlum.optics.exposure import true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 from fieldlum.optics.raw.writing import write_dng
 

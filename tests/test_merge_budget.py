@@ -17,7 +17,7 @@ from fieldlum.merge.linear_frames import RawSignal
 from fieldlum.merge.project import LensView, blend
 from fieldlum.merge.ratios import fit_ratios, ratio_curve, unexplained
 from fieldlum.merge.shots import U_REPEAT, exposure_covariance
-from fieldlum.optics.photometry import PairRatio
+from fieldlum.optics.exposure import PairRatio
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,

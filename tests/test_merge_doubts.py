@@ -18,7 +18,7 @@ from fieldlum.merge.project import footprint_px, u_of_edges
 from fieldlum.merge.ratios import any_beyond_prior, fit_ratios, unexplained_u
 from fieldlum.merge.sensor_frames import Findings, SensorImage
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
-from fieldlum.optics.photometry import PairRatio, true_times_s, z_per_cdm2
+from fieldlum.optics.exposure import PairRatio, true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 from fieldlum.optics.projection import Equirect, Fisheye, LensGeometry
 from fieldlum.optics.raw.writing import write_dng, write_jpeg

@@ -10,7 +10,8 @@ from fieldlum.merge import merge_sensor
 from fieldlum.merge.estimator import Rows, merge_signals
 from fieldlum.merge.linear_frames import RawSignal
 from fieldlum.merge.shots import Shot, sorted_shots
-from fieldlum.optics.photometry import response_table, z_per_cdm2
+from fieldlum.optics.camera_curves import response_table
+from fieldlum.optics.exposure import z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Response
 from fieldlum.optics.raw.writing import write_jpeg
 

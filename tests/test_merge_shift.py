@@ -14,7 +14,7 @@ from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, Shot, merge_shots
 from fieldlum.merge.shift import reduced, shifts
 from fieldlum.merge.stage import QUALITY_COLUMNS
-from fieldlum.optics.photometry import z_per_cdm2
+from fieldlum.optics.exposure import z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile, bracket_exposures, load_camera_profile
 from fieldlum.optics.projection import LensGeometry, lens_pixels, lens_rays
 

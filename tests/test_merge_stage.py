@@ -26,8 +26,8 @@ from fieldlum.core.records import (
 )
 from fieldlum.core.scheduler import Scheduler
 from fieldlum.merge import MergeOptions, MergeResult, stage
+from fieldlum.optics.exposure import z_per_cdm2
 from fieldlum.optics.images import read_panorama, read_radiance_hdr
-from fieldlum.optics.photometry import z_per_cdm2
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,

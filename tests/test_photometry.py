@@ -11,22 +11,17 @@ from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, SunSource
 from fieldlum.devices import nearest
 from fieldlum.merge.ratios import fit_ratios, pair_ratio
-from fieldlum.optics.photometry import (
+from fieldlum.optics.camera_curves import (
     check_vignetting,
     dark_floor,
     fit_response,
-    illuminance_lx,
-    illuminance_verdict,
     monotone,
-    prior_u_log,
     response_table,
-    same_exposure,
-    saturation_plateau,
-    true_times_s,
-    vertical_illuminance_lx,
     vignetting_at,
-    z_per_cdm2,
 )
+from fieldlum.optics.exposure import prior_u_log, same_exposure, true_times_s, z_per_cdm2
+from fieldlum.optics.illuminance import illuminance_lx, illuminance_verdict, vertical_illuminance_lx
+from fieldlum.optics.linear_light import saturation_plateau
 
 # ----------------------------------------------------------------------------------------------
 # exposure

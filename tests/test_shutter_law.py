@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.merge import MergeOptions, merge_shots, shots_of_files
-from fieldlum.optics.photometry import (
+from fieldlum.optics.exposure import (
     LAWS,
     PairRatio,
     law_of_frames,

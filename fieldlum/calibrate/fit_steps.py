@@ -21,8 +21,9 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure, Flag, Panorama
 from fieldlum.core.statistics import held_out_masks, is_no_worse, robust_sigma, standard_error
 from fieldlum.optics import linear_light
+from fieldlum.optics.camera_curves import linearity_factor, vignetting_at
 from fieldlum.optics.images import calibration_mark
-from fieldlum.optics.photometry import linearity_factor, saturation_plateau, vignetting_at
+from fieldlum.optics.linear_light import saturation_plateau
 from fieldlum.optics.profiles import CameraProfile, Lens, Provenance, save_profile
 from fieldlum.optics.projection import angle_of_radius, direction, equirect_rays, relative_radius
 from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, read_jpeg, read_mosaic

@@ -15,8 +15,9 @@ from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.core.statistics import median_standard_error, robust_sigma
+from fieldlum.optics.camera_curves import dark_floor, fit_response, response_table
+from fieldlum.optics.exposure import ShutterLaw
 from fieldlum.optics.linear_light import check_frame, stated_law, true_shutter_s
-from fieldlum.optics.photometry import ShutterLaw, dark_floor, fit_response, response_table
 from fieldlum.optics.profiles import CameraProfile, Response
 from fieldlum.optics.projection import relative_radius
 from fieldlum.optics.raw import frame_files, is_jpeg, read_jpeg

@@ -11,8 +11,8 @@ from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Flag, Panorama, listed
+from fieldlum.optics.illuminance import illuminance_lx
 from fieldlum.optics.images import calibration_mark
-from fieldlum.optics.photometry import illuminance_lx
 from fieldlum.optics.profiles import CameraProfile
 
 # Relative difference from the fit beyond which a reading is an outlier, if it is above three u

@@ -20,8 +20,8 @@ from fieldlum.calibrate import fit_steps
 from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.optics.camera_curves import linearity_factor
 from fieldlum.optics.linear_light import black_dn, full_dn, gain_e_per_dn, true_shutter_s
-from fieldlum.optics.photometry import linearity_factor
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.raw import Mosaic, channel_positions, frame_files
 

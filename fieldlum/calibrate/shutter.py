@@ -24,8 +24,8 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import counted, shutter_text
 from fieldlum.core.statistics import median_standard_error, robust_sigma
+from fieldlum.optics.exposure import AUTO
 from fieldlum.optics.linear_light import SAME_LABEL, U_FRAME_RATIO, true_shutter_s
-from fieldlum.optics.photometry import AUTO
 from fieldlum.optics.profiles import CameraProfile, ShutterTime
 from fieldlum.session import Session
 from fieldlum.session.files.sidecar import FrameQuality, NeighbourQuality, Sidecar

@@ -17,7 +17,7 @@ from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.statistics import median_standard_error, robust_sigma
-from fieldlum.optics.photometry import check_vignetting, vignetting_at
+from fieldlum.optics.camera_curves import check_vignetting, vignetting_at
 from fieldlum.optics.profiles import CameraProfile, Lens, Vignetting
 from fieldlum.optics.projection import angle_of_radius, relative_radius
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import SAME_SETTING_EV
+from fieldlum.optics.exposure import SAME_SETTING_EV
 from fieldlum.optics.raw import is_jpeg, read_exif, read_jpeg, read_mosaic
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, SiteFile, Slot, utc_text
-from fieldlum.optics.photometry import same_exposure
+from fieldlum.optics.exposure import same_exposure
 
 # Each limit is chosen between the two cases that it must separate.
 WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour

@@ -319,7 +319,7 @@ def scale(
     import numpy as np
 
     from fieldlum.calibrate import scale as scales
-    from fieldlum.optics.photometry import illuminance_verdict
+    from fieldlum.optics.illuminance import illuminance_verdict
 
     readings, frames, notes = scales.from_table(sources, profile)
     fit = scales.fit(readings, meter_u, sources)

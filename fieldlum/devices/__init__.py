@@ -33,7 +33,7 @@ from fieldlum.core.errors import DeviceError, InputError, did_you_mean
 from fieldlum.core.records import Exposure, IrradianceSample, shutter_text
 from fieldlum.core.strict_toml import build
 from fieldlum.devices.clock import Clock
-from fieldlum.optics.photometry import SAME_SETTING_EV
+from fieldlum.optics.exposure import SAME_SETTING_EV
 from fieldlum.session import Session
 
 T = TypeVar("T")

@@ -15,7 +15,7 @@ from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import Exposure
 from fieldlum.devices import Camera, CameraInfo, DeviceUri
 from fieldlum.devices.clock import Clock
-from fieldlum.optics.photometry import same_exposure
+from fieldlum.optics.exposure import same_exposure
 from fieldlum.optics.raw import FrameInfo, frame_files, read_exif
 from fieldlum.session import Session, exposure_text
 

@@ -25,7 +25,7 @@ from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, shutter_text
 from fieldlum.devices import Camera, CameraInfo, DeviceUri
 from fieldlum.devices.clock import Clock
-from fieldlum.optics.photometry import SAME_SETTING_EV
+from fieldlum.optics.exposure import SAME_SETTING_EV
 from fieldlum.session import Session
 
 PROGRAM = "rpicam-still"

@@ -17,8 +17,8 @@ from fieldlum.merge.ratios import Exposures, any_beyond_prior
 from fieldlum.merge.sensor_frames import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
 from fieldlum.merge.sun_and_sky import MEASURED, sky_cut, sun_on_sensor, take_out_disc
+from fieldlum.optics.illuminance import vertical_illuminance_lx
 from fieldlum.optics.images import PICTURE_SUFFIXES, write_picture
-from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import Equirect, Fisheye, Target, signed_angle_deg
 from fieldlum.optics.raw import roll_deg_of, white_balance_is_fixed

@@ -19,6 +19,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.progress import progress
 from fieldlum.merge.shift import ReducedFrame, reduced
 from fieldlum.merge.shots import Shot
+from fieldlum.optics.camera_curves import linearity_factor
 from fieldlum.optics.linear_light import (
     black_dn,
     check_frame,
@@ -27,8 +28,8 @@ from fieldlum.optics.linear_light import (
     gain_e_per_dn,
     nd_factors,
     response_tables,
+    saturation_plateau,
 )
-from fieldlum.optics.photometry import linearity_factor, saturation_plateau
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.raw import Mosaic, channel_positions, read_jpeg, read_mosaic
 

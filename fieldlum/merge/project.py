@@ -13,11 +13,11 @@ from scipy import sparse
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Flag, Panorama
 from fieldlum.merge.sensor_frames import SensorImage
+from fieldlum.optics.camera_curves import vignetting_at
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
 from fieldlum.optics.linear_light import curve_u_rel, vignetting_of
 from fieldlum.optics.melanopic import ATTRIBUTE as MELANOPIC
 from fieldlum.optics.melanopic import attribute_text as melanopic_text
-from fieldlum.optics.photometry import vignetting_at
 from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import Equirect, LensGeometry, Target, lens_pixels, wrapped
 from fieldlum.optics.stray_light import stray_cdm2

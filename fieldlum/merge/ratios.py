@@ -17,8 +17,8 @@ from fieldlum.core.statistics import MAD_TO_SIGMA, robust_sigma
 from fieldlum.merge.estimator import Rows
 from fieldlum.merge.linear_frames import RawSignal, Signal, scaled
 from fieldlum.merge.shots import Shot, exposure_covariance, times_by_law
+from fieldlum.optics.exposure import PairRatio, ShutterLaw, law_of_frames
 from fieldlum.optics.linear_light import U_FRAME_RATIO
-from fieldlum.optics.photometry import PairRatio, ShutterLaw, law_of_frames
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.session.files.sidecar import NeighbourQuality
 

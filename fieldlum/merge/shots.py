@@ -11,8 +11,8 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Exposure
+from fieldlum.optics.exposure import LAWS, z_per_cdm2
 from fieldlum.optics.linear_light import SAME_LABEL, nd_factors, true_shutter_s
-from fieldlum.optics.photometry import LAWS, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.raw import frame_files, is_jpeg, read_exif
 from fieldlum.session import sha256

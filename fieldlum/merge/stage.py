@@ -29,8 +29,8 @@ from fieldlum.core.records import (
 from fieldlum.merge.bracket import MergeOptions, MergeResult, merge_shots
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
 from fieldlum.merge.sun_and_sky import disc_px, expected_sun_deg, mosaic_u_rel
+from fieldlum.optics.illuminance import vertical_illuminance_lx
 from fieldlum.optics.images import read_panorama, write_panorama
-from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.optics.raw import unreadable
 from fieldlum.session import Session

@@ -1,1 +1,1 @@
-"""Turn camera counts into luminance by direction: photometry, projection, pictures, profiles."""
+"""Turn camera counts into luminance by direction: exposures, lenses, pictures, profiles."""

@@ -10,17 +10,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import (
+from fieldlum.optics.camera_curves import check_vignetting, response_table
+from fieldlum.optics.exposure import (
     AUTO,
     ShutterLaw,
-    check_vignetting,
     law_of_labels,
     prior_u_log,
-    response_table,
     true_times_s,
     z_per_cdm2,
 )
@@ -55,6 +55,27 @@ def black_dn(mosaic: Mosaic, profile: CameraProfile) -> Sequence[float]:
     """Return the black levels of R, G1, G2, B [DN]: the profile's, or the file's if all are 0."""
     own = profile.sensor.black_dn
     return own if any(own) else mosaic.black_dn
+
+
+def saturation_plateau(counts: NDArray[np.integer], white_dn: float) -> float | None:
+    """Return the count at which a sensor saturates [DN]; None if the histogram has no such spike.
+
+    counts : raw counts of any shape; white_dn : the white level in the file. Many sensors saturate
+    below that white level. The spike is the run of counts up to the highest count (without a few
+    hot pixels), if that is at least half of white_dn, and the run has at least 8 pixels, 0.02 % of
+    all pixels and ten times the average of equal runs below it, which a bright smooth scene has
+    not. The result is its mean count.
+    """
+    flat = np.maximum(counts.ravel(), 0)
+    of_count = np.bincount(flat, minlength=1)
+    above = flat.size - np.cumsum(of_count)  # pixels above each count
+    top = int(np.argmax(above <= max(8, 2e-5 * flat.size)))
+    width = max(1, round(0.002 * white_dn))
+    histogram = of_count[max(top + 1 - 12 * width, 0) : top + 1][::-1]  # from the highest count
+    spike, below = histogram[:width].sum(), histogram[2 * width :].sum() / 10
+    if top < 0.5 * white_dn or spike < max(2e-4 * flat.size, 8, 10 * below):
+        return None
+    return float(top - np.average(np.arange(width), weights=histogram[:width]))
 
 
 def full_dn(

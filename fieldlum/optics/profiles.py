@@ -12,7 +12,7 @@ from fieldlum.core.errors import InputError, did_you_mean
 from fieldlum.core.files import write_file
 from fieldlum.core.records import CameraSetup, Cfa, Exposure, Slot, counted
 from fieldlum.core.strict_toml import NotNegative, Positive, Share, build, plain, read_toml
-from fieldlum.optics.photometry import rises
+from fieldlum.optics.camera_curves import rises
 from fieldlum.optics.projection import LensGeometry, angle_of_radius, judged_text, seen_by_lenses
 
 _Side = Annotated[int, Meta(gt=0, le=100_000)]  # px
@@ -216,7 +216,7 @@ class CameraProfile:
 
     glare_floor_rel: veiling glare of the lens, as a share of the mean luminance; 0 once [stray]
     is calibrated. expires: ISO date after which doctor reports a failure, or "". shutter_law:
-    how nominal times without a measured time are converted (optics/photometry.py).
+    how nominal times without a measured time are converted (optics/exposure.py).
     """
 
     camera: CameraBody

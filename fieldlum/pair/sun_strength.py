@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from fieldlum.core.records import CLIPPED_SUN, Panorama, SunSource
-from fieldlum.optics.photometry import vertical_illuminance_lx
+from fieldlum.optics.illuminance import vertical_illuminance_lx
 from fieldlum.optics.projection import direction
 from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 

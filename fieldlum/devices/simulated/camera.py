@@ -18,8 +18,9 @@ from fieldlum.devices.clock import Clock
 from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.world import World, detail_of
 from fieldlum.optics import linear_light
+from fieldlum.optics.camera_curves import vignetting_at
+from fieldlum.optics.exposure import z_per_cdm2
 from fieldlum.optics.images import RADIANCE_Y
-from fieldlum.optics.photometry import vignetting_at, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import relative_radius
 from fieldlum.optics.raw import channel_positions

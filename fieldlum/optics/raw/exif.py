@@ -18,7 +18,7 @@ from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import Exposure
 from fieldlum.core.strict_csv import read_number, read_table
-from fieldlum.optics.photometry import SAME_SETTING_EV
+from fieldlum.optics.exposure import SAME_SETTING_EV
 
 EXPOSURES_CSV = "exposures.csv"
 COLUMNS = ("file", "shutter_s", "f_number", "iso")

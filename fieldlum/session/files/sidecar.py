@@ -15,7 +15,7 @@ from msgspec import Meta, Struct, field
 from fieldlum.core.errors import ChangedFileWarning, InputError
 from fieldlum.core.files import sha256
 from fieldlum.core.records import Exposure, JsonTable, require_known_year
-from fieldlum.optics.photometry import ShutterLaw
+from fieldlum.optics.exposure import ShutterLaw
 from fieldlum.session.codec import JsonFile, Utc, convert, read_object
 from fieldlum.session.folder import Session
 from fieldlum.session.plan_file import exposure_text, parse_exposure

@@ -1,0 +1,157 @@
+"""Compute with exposures: linear light for a luminance, true shutter times, laws of a shutter.
+
+L = k 87 N^2 / (t S) z: luminance [cd/m2], scale k, f-number N, true time t [s], ISO S, and linear
+light z, which is 1 at full scale.
+
+A mechanical shutter runs in thirds or halves of a stop, and its labels are rounded: 1/60 is 1/64 s.
+An electronic shutter exposes for its labelled time: 1/60 is 0.016667 s (measured on a phone's
+bracket, MercuryYen/HDR-Imaging data/101; Ricoh states the same for the Theta). The two differ by up
+to 6.7 %.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Exposure
+
+# The empirical constant of hdrgen (Ward, panlib). A wrong value scales all luminances without a
+# scale calibration.
+STONITS = 87.0
+# Settings of cameras are a third of a stop apart: two values within the half of it are the same
+# setting, rounded differently.
+SAME_SETTING_EV = 1 / 6
+
+
+def same_exposure(a: Exposure, b: Exposure) -> bool:
+    """Return whether shutter, aperture and ISO each differ by at most 1/6 EV.
+
+    Filters are not compared, because cameras do not record them.
+    """
+    ratios = (a.shutter_s / b.shutter_s, (a.f_number / b.f_number) ** 2, a.iso / b.iso)
+    return all(abs(math.log2(ratio)) <= SAME_SETTING_EV for ratio in ratios)
+
+
+def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:
+    """Return the linear signal z (1 at full scale) per cd/m2, by L = k 87 N^2 / (t S) z.
+
+    shutter_s : t; f_number : N; iso : S; k : factor of the scale calibration.
+    """
+    return shutter_s * iso / (STONITS * f_number**2 * k)
+
+
+def prior_u_log(shutter_s: ArrayLike) -> Floats:
+    """Return the relative standard uncertainty of shutter times that were not measured, [n].
+
+    0.003 from 1/1000 s on, 0.03 for shorter times, at which mechanical shutters are less accurate:
+    errors of up to 3.9 % are found (docs/validation.md). shutter_s : [n], s.
+    """
+    return np.where(np.asarray(shutter_s) < 1 / 1000, 0.03, 0.003)
+
+
+# ----------------------------------------------------------------------------------------------
+# the law of a shutter
+
+
+THIRD_STOPS, HALF_STOPS, EXACT, AUTO = "third-stops", "half-stops", "exact", "auto"
+LAWS = (THIRD_STOPS, HALF_STOPS, EXACT)
+# Settings in a stop, and how far a label may be from the nearest one: a time further away is used
+# unchanged. Labels are rounded by up to 6.3 % (13 s) in thirds of a stop, and by 11.6 % (1/20 s is
+# 2^-4.5 s) in halves. Sources: linearhdr (Wasilewski), hdrmerge (Jakob).
+_GRIDS = {THIRD_STOPS: ((3,), 0.07), HALF_STOPS: ((2,), 0.12), AUTO: ((3, 2), 0.07)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairRatio:
+    """The measured exposure ratio of two frames.
+
+    long, short: indices of the frames, from 0. log_ratio: ln(true / assumed exposure) of frame
+    `short` minus that of frame `long`; u_log: standard uncertainty of log_ratio; pixels: number of
+    pixels used.
+    """
+
+    long: int
+    short: int
+    log_ratio: float
+    u_log: float
+    pixels: int
+
+
+@dataclass(frozen=True, slots=True)
+class ShutterLaw:
+    """The law of a bracket's shutter times.
+
+    law : "third-stops", "half-stops" or "exact"; decided_by : "profile", "labels" or "frames"
+    ("": not stated); misfit_percent : for each law, the rms difference of the measured exposure
+    ratios from it, in %; empty without measured ratios.
+    """
+
+    law: str
+    decided_by: str = ""
+    misfit_percent: dict[str, float] = field(default_factory=dict)
+
+
+def true_times_s(nominal_s: ArrayLike, law: str = AUTO) -> Floats:
+    """Return the true times [...] in s of nominal times [...] in s.
+
+    law : "exact" changes nothing; "third-stops" and "half-stops" round to powers of 2^(1/3) and
+    2^(1/2) s, but a time over 7 % or 12 % away from them is returned unchanged; "auto" rounds to
+    the nearer of the two, unless that is over 7 % away.
+    """
+    nominal = np.asarray(nominal_s, np.float64)
+    if law == EXACT:
+        return nominal.copy()
+    settings, reach = _GRIDS[law]
+    stops = np.log2(nominal)
+    grids = np.stack([np.round(stops * n) / n for n in settings])  # [grids, ...]
+    nearest = np.abs(grids - stops).argmin(axis=0)[None]
+    on_grid = 2.0 ** np.take_along_axis(grids, nearest, axis=0)[0]
+    return np.where(np.abs(on_grid / nominal - 1.0) <= reach, on_grid, nominal)
+
+
+def law_of_labels(nominal_s: ArrayLike, model: str = "") -> ShutterLaw:
+    """Return the law, half or third stops, that fits a bracket's nominal times [n] in s best.
+
+    If both fit equally, it is third stops. model : name of the camera; if it contains "theta" the
+    law is "exact" (theta-web-api-v2.1, shutterSpeed).
+    """
+    if "theta" in model.casefold():
+        return ShutterLaw(EXACT, "labels")
+    stops = np.log2(np.asarray(nominal_s, np.float64))
+    thirds, halves = (float(((np.round(stops * n) / n - stops) ** 2).sum()) for n in (3, 2))
+    return ShutterLaw(HALF_STOPS if halves < 0.999 * thirds else THIRD_STOPS, "labels")
+
+
+def law_of_frames(
+    times_s: Mapping[str, Floats], of_labels: ShutterLaw, pairs: Sequence[PairRatio]
+) -> ShutterLaw:
+    """Return the law that measured ratios support; the law of `of_labels` if they cannot decide.
+
+    times_s : for each law, the times [frames] in s; pairs : ratios measured relative to the times
+    under the law of `of_labels`; without pairs `of_labels` is returned. Only under the correct law
+    do equal nominal steps change codes equally. A wrong response, or changing light, stretches all
+    steps by one factor, which is estimated for each law. The frames decide if the ratios scatter
+    about every other law, of those that differ by over 2 %, at least twice as much.
+    """
+    if not pairs:
+        return of_labels
+    long, short = np.array([(pair.long, pair.short) for pair in pairs]).T
+    measured = np.array([pair.log_ratio for pair in pairs])
+    assumed = np.log(times_s[of_labels.law])
+    step = {law: np.log(times_s[law][short] / times_s[law][long]) for law in LAWS}
+    off = {law: measured - step[law] + (assumed[short] - assumed[long]) for law in LAWS}
+    slope = {law: off[law] @ step[law] / max(step[law] @ step[law], 1e-12) for law in LAWS}
+    scatter = {law: float(np.std(off[law] - step[law] * slope[law])) for law in LAWS}
+    best = min(LAWS, key=lambda law: (scatter[law], law != of_labels.law))
+    others = [law for law in LAWS if np.abs(step[law] - step[best]).max() > 0.02]
+    decided = bool(others) and all(scatter[law] > 2.0 * scatter[best] for law in others)
+    misfit = {law: round(100.0 * float(np.sqrt(np.mean(off[law] ** 2))), 2) for law in LAWS}
+    if not decided:
+        return ShutterLaw(of_labels.law, of_labels.decided_by, misfit)
+    # of laws that agree for these frames, that of the labels
+    law = best if of_labels.law in others else of_labels.law
+    return ShutterLaw(law, "frames", misfit)
