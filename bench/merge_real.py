@@ -363,7 +363,7 @@ def _print_shifts(signals: list[JpegSignal], times: np.ndarray) -> None:
     """
     h, w = signals[0].codes.shape[:2]
     lens = LensGeometry((w / 2, h / 2), float(np.hypot(h, w) / 2), 60.0, "equidistant")
-    for m in shifts([s.small() for s in signals], [lens], [f"{t:g} s" for t in times]):
+    for m in shifts([s.reduced_frame() for s in signals], [lens], [f"{t:g} s" for t in times]):
         print(f"{m.long} to {m.short}: shifted by {m.shift_px:.2f} px, u {m.u_px:.2f}")
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from fieldlum.core.records import Exposure
 from fieldlum.merge import merge_sensor, shots_of_files
-from fieldlum.merge.sensor_frames import NO_NOISE
+from fieldlum.merge.sensor_frames import NOISE_OF_PROFILE
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.optics.exposure import true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
@@ -65,4 +65,7 @@ def test_noise_of_about_one_count_is_no_more_than_said(
         )
         paths.append(tmp_path / f"{i}.dng")
     profile = replace(PROFILE, sensor=replace(SENSOR, gain_e_per_dn=gain, read_noise_e=read_e))
-    assert merge_sensor(sorted_shots(shots_of_files(paths), profile), profile)[1].noise == NO_NOISE
+    assert (
+        merge_sensor(sorted_shots(shots_of_files(paths), profile), profile)[1].noise
+        == NOISE_OF_PROFILE
+    )

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from fieldlum.core.records import Exposure
-from fieldlum.merge.estimator import Rows
+from fieldlum.merge.estimator import FramePixels
 from fieldlum.merge.linear_frames import RawSignal
 from fieldlum.merge.project import LensView, blend
-from fieldlum.merge.ratios import fit_ratios, ratio_curve, unexplained
+from fieldlum.merge.ratios import fit_ratios, ratio_curve, unexplained_by_neighbours
 from fieldlum.merge.shots import U_REPEAT, exposure_covariance
 from fieldlum.optics.exposure import PairRatio
 from fieldlum.optics.profiles import (
@@ -59,10 +59,10 @@ def test_the_whole_budget_is_covered(bench: ModuleType) -> None:
     assert np.sqrt(np.mean(everything.pull**2)) > 0.75
 
 
-def frame(per_cdm2: float) -> Rows:
+def frame(per_cdm2: float) -> FramePixels:
     constants = (np.asarray(v, np.float32) for v in (512.0, 13488.0, per_cdm2))
     counts = np.full((1, 2, 4), 600, np.uint16)
-    return Rows(
+    return FramePixels(
         RawSignal(counts, *constants, 4.0, 2.33),
         counts.astype(np.float32),
         np.zeros(counts.shape, bool),
@@ -105,9 +105,11 @@ def test_disagreement_counts_once() -> (
     None
 ):  # 2 % apart, by a response that is 1.5 % uncertain: explained
     left = [NeighbourQuality(0, 1, 2.0, 0.1, 999), NeighbourQuality(1, 2, -2.0, 0.1, 999)]
-    assert unexplained(left, 0.03) == 0.0
-    assert unexplained(left, 0.0) == pytest.approx(1.4826 * 0.02 / np.sqrt(2), rel=0.01)
-    assert unexplained([], 0.0) == 0.0
+    assert unexplained_by_neighbours(left, 0.03) == 0.0
+    assert unexplained_by_neighbours(left, 0.0) == pytest.approx(
+        1.4826 * 0.02 / np.sqrt(2), rel=0.01
+    )
+    assert unexplained_by_neighbours([], 0.0) == 0.0
 
 
 @pytest.mark.analytic

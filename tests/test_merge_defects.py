@@ -8,7 +8,7 @@ import pytest
 from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import MergeOptions, merge_shots, shots_of_files
 from fieldlum.merge.linear_frames import Crop
-from fieldlum.merge.sensor_frames import good_pixels, odd_pixels
+from fieldlum.merge.sensor_frames import good_pixels, isolated_pixels
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 from fieldlum.optics.raw.writing import write_dng
 
@@ -30,7 +30,7 @@ def test_lonely_pixels_are_odd_and_moving_things_are_not() -> None:
     )  # of two colours: each alone in its own
     flags[40:44, 10:14] = Flag.MOTION
     flags[5, 5] = Flag.BLOOM
-    assert {tuple(at) for at in odd_pixels(flags)} == {(20, 31), (60, 60), (61, 60)}
+    assert {tuple(at) for at in isolated_pixels(flags)} == {(20, 31), (60, 60), (61, 60)}
     good = good_pixels(PROFILE, Crop(2, 2, SIDE - 2, SIDE - 2), flags[2:, 2:])
     assert good is not None and not good[18, 29] and not good[5, 1] and (~good).sum() == 4
 

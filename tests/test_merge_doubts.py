@@ -15,7 +15,7 @@ from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import MergeOptions, Shot, merge_sensor, merge_shots, shots_of_files
 from fieldlum.merge.bracket import orientation_conflict, verdict
 from fieldlum.merge.project import footprint_px, u_of_edges
-from fieldlum.merge.ratios import any_beyond_prior, fit_ratios, unexplained_u
+from fieldlum.merge.ratios import any_beyond_prior, fit_ratios, unexplained_by_fit
 from fieldlum.merge.sensor_frames import Findings, SensorImage
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
 from fieldlum.optics.exposure import PairRatio, true_times_s, z_per_cdm2
@@ -175,7 +175,7 @@ def test_the_noise_of_pairs_is_no_disagreement() -> None:
             )
             for i in range(7)
         ]
-        left.append(unexplained_u(fit_ratios(pairs, WEAK), 0.0) ** 2)
+        left.append(unexplained_by_fit(fit_ratios(pairs, WEAK), 0.0) ** 2)
     alone = np.mean([np.var(np.cumsum(0.01 * rng.normal(size=8))) for _ in range(200)])
     assert (
         np.mean(left) < 0.5 * alone
@@ -191,8 +191,10 @@ def test_small_steps_add_up() -> None:
     free = fit_ratios(pairs, WEAK)
     found = np.log(free.correction)
     assert found == pytest.approx(0.02 * (np.arange(8) - 3.5), abs=0.003)
-    assert unexplained_u(free, 0.01) == pytest.approx(np.sqrt(found.std() ** 2 - 0.01**2), rel=0.01)
-    assert unexplained_u(fit_ratios([], WEAK), 0.01) == 0.0
+    assert unexplained_by_fit(free, 0.01) == pytest.approx(
+        np.sqrt(found.std() ** 2 - 0.01**2), rel=0.01
+    )
+    assert unexplained_by_fit(fit_ratios([], WEAK), 0.01) == 0.0
     assert any_beyond_prior(found, np.full(8, 0.01))
     assert not any_beyond_prior(found, np.full(8, 0.03))
 
@@ -297,7 +299,7 @@ def test_edges_leak_and_slopes_do_not(target: Equirect | Fisheye) -> None:
     share = min(0.35 / footprint_px(PROFILE.lens[0], target), 0.5) / np.sqrt(3)
     u = u_of_edges(window, seen, target, PROFILE)[12, width // 2 - 3 : width // 2 + 3]
     assert u == pytest.approx([0.0, 0.0, 7900 * share, 7900 * share, 0.0, 0.0], rel=0.01)
-    seen[:, width // 2 :] = False  # unexplained_u the lens there is no light known to leak
+    seen[:, width // 2 :] = False  # beyond the lens there is no light known to leak
     assert (
         u_of_edges(np.where(seen, window, 0.0), seen, target, PROFILE)[12, 4 : width - 4].max()
         == 0.0

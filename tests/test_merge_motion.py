@@ -7,7 +7,7 @@ import pytest
 
 from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import merge_sensor
-from fieldlum.merge.estimator import Rows, merge_signals
+from fieldlum.merge.estimator import FramePixels, merge_signals
 from fieldlum.merge.linear_frames import RawSignal
 from fieldlum.merge.shots import Shot, sorted_shots
 from fieldlum.optics.camera_curves import response_table
@@ -39,7 +39,7 @@ def test_a_frame_fills_what_its_saturated_neighbour_lost_above_five_deviations()
     black, full, per = (np.asarray(v, np.float32) for v in (0.0, 1000.0, 4.0))
     counts = np.tile(np.array([1000, 60, 40, 200, 200, 200], np.uint16), (1, 2, 1))
     signal = RawSignal(counts, black, full, per, 1e12, 100.0)
-    rows = Rows(signal, *signal.strip(0, 1))
+    rows = FramePixels(signal, *signal.strip(0, 1))
     assert rows.usable()[0, 0].tolist() == [False, False, False, True, True, True]
     merged = merge_signals([signal], counts.shape)
     value, variance, flags = (a[0, 0] for a in (merged.value_cdm2, merged.variance, merged.flags))

@@ -45,20 +45,21 @@ def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
     if len(rolls_deg) > 1:
         angles = " and ".join(f"{value:g}" for value in sorted(rolls_deg))
         return f"the camera turned within the bracket: roll angles {angles} deg; capture it again"
-    off = float(signed_angle_deg(rolls_deg.pop() - lens.roll_deg)) if rolls_deg else 0.0
-    if abs(off) <= 60.0:
+    off_deg = float(signed_angle_deg(rolls_deg.pop() - lens.roll_deg)) if rolls_deg else 0.0
+    if abs(off_deg) <= 60.0:
         return ""
     return (
-        f"by EXIF, the camera was held {abs(off):.0f} deg off the profile's roll of "
+        f"by EXIF, the camera was held {abs(off_deg):.0f} deg off the profile's roll of "
         f"{lens.roll_deg:g} deg: hold it as in the calibration, or correct roll_deg of the profile"
     )
 
 
 def floating_white_balance(shots: Sequence[Shot], profile: CameraProfile) -> str:
-    """Return the first JPEG frame without a fixed white balance; "" if there is none.
+    """Return the file name of the first JPEG frame without a fixed white balance; "" for none.
 
-    Its colours are unknown. Only frames of a profile with a melanopic weight are examined; raw
-    counts have no white balance.
+    With an automatic white balance the colours are unknown. "" too for a profile without weights
+    for melanopic light, because nothing uses the colours, and for raw frames, whose counts no white
+    balance changes.
     """
     if profile.camera.kind == "raw" or not profile.colour.melanopic_from_rgb:
         return ""
@@ -78,7 +79,7 @@ def report_of(
     pairs = [n for part in parts for n in part.exposures.neighbours]
     turns = [turn for part in parts for turn in part.turns]
     surest = max(turns, key=lambda turn: turn.sure_px, default=None)
-    noise = max(value for part in parts for value in part.noise)
+    variance_factor = max(factor for part in parts for factor in part.noise)
     return MergeReport(
         frames=tuple(frame for part in parts for frame in _frames(part)),
         neighbours=tuple(pairs),
@@ -89,7 +90,7 @@ def report_of(
         **_shares_percent(flags, target),
         exposure_span_percent=float(100 * max(np.ptp(p.exposures.log_deviation) for p in parts)),
         deviations=tuple(filter(None, (_deviation_text(part.exposures) for part in parts))),
-        noise_over_profile=float(np.sqrt(noise)),
+        noise_over_profile=float(np.sqrt(variance_factor)),
         plateau_dn={f"{iso:g}": dn for iso, dn in parts[0].saturation.plateau_dn.items()},
         black_off_dn=max((p.saturation.black_off_dn for p in parts), key=abs),
         shutter_law=parts[0].exposures.law,
@@ -100,28 +101,30 @@ def report_of(
 
 
 def _shares_percent(flags: NDArray[np.integer], target: Target) -> dict[str, Any]:
-    """Return shares of the solid angle: flagged of what a lens sees, and not seen of all, in %.
+    """Return the figures of a report that are shares of the view, in % of solid angle, by name.
 
-    flags [H, W]: of the result on the grid `target`.
+    outside_percent is the share of the grid that no lens sees; the others are the shares of what a
+    lens sees whose pixels have a flag. flags [H, W]: of the result on the grid `target`.
     """
-    solid = target.solid_angles()
-    seen_sr = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
-    named = {
+    solid_sr = target.solid_angles()
+    seen_sr = solid_sr * ((flags & Flag.OUTSIDE_LENS) == 0)
+    flag_of = {
         "clipped_percent": Flag.CLIPPED_HIGH,
         "bloom_percent": Flag.BLOOM,
         "motion_percent": Flag.MOTION,
         "below_noise_percent": Flag.BELOW_NOISE,
     }
-    total = max(seen_sr.sum(), 1e-12)
+    total_sr = max(seen_sr.sum(), 1e-12)
     shares = {
-        name: float(100 * (seen_sr * ((flags & flag) > 0)).sum() / total)
-        for name, flag in named.items()
+        name: float(100 * (seen_sr * ((flags & flag) > 0)).sum() / total_sr)
+        for name, flag in flag_of.items()
     }
-    return {**shares, "outside_percent": float(100 * (1 - seen_sr.sum() / max(solid.sum(), 1e-12)))}
+    outside = 1 - seen_sr.sum() / max(solid_sr.sum(), 1e-12)
+    return {**shares, "outside_percent": float(100 * outside)}
 
 
 def _frames(part: Findings) -> list[FrameQuality]:
-    """Return the frames of a heading with their fitted exposures."""
+    """Return the report's entry of each frame of a heading, with its fitted exposure."""
     fit = part.exposures.fit
     return [
         FrameQuality.of(
@@ -137,7 +140,11 @@ def _frames(part: Findings) -> list[FrameQuality]:
 
 
 def _deviation_text(exposures: Exposures) -> str:
-    """Return the range of deviations in percent, such as "-1.2 to +0.4"; "" within the priors."""
+    """Return by how many percent fitted exposures differ from the profile's: "-1.2 to +0.4".
+
+    The text has the lowest and the highest of the frames; it is "" if the uncertainties of shutter,
+    filter and ISO explain all differences.
+    """
     log = exposures.log_deviation
     low, high = 100 * np.expm1([log.min(), log.max()])
     return f"{low:+.1f} to {high:+.1f}" if any_beyond_prior(log, exposures.u_prior) else ""
@@ -307,11 +314,11 @@ def merge_shots(
 def _measured_sun(
     images: Sequence[SensorImage], findings: Sequence[Findings], panorama: Panorama, disc: SunDisc
 ) -> MeasuredSun | None:
-    """Return the disc's centre, measured on the sensor pixels, and the time of those frames.
+    """Return the direction of the sun disc's centre on the sensor, and the time of its frames.
 
-    images, findings: merged sensor and findings of each heading; disc: as found in `panorama`; None
-    if no lens sees it. The centre comes from the frames taken through a filter. Without a filter it
-    comes from the least exposed frame of each heading.
+    images, findings: merged sensor and findings of each heading; disc: as found in `panorama`. None
+    if no lens sees the disc. The time is the mean of the frames that show the disc unclipped: those
+    taken through a filter, or without any the least exposed frame of each heading.
     """
     place = sun_on_sensor(images, disc, panorama)
     if place is None:
@@ -319,8 +326,8 @@ def _measured_sun(
     filtered = [s for part in findings for s in part.shots if s.exposure.nd]
     through_filter = panorama.sun is not None and panorama.sun.origin == MEASURED
     shown = filtered if through_filter else [part.shots[-1] for part in findings]
-    times = [s.t_utc.timestamp() for s in shown if s.t_utc is not None]
-    t_utc = datetime.fromtimestamp(float(np.mean(times)), UTC) if times else None
+    times_s = [s.t_utc.timestamp() for s in shown if s.t_utc is not None]
+    t_utc = datetime.fromtimestamp(float(np.mean(times_s)), UTC) if times_s else None
     altitude, azimuth, sigma_deg = place
     return MeasuredSun(
         altitude_deg=round(altitude, 4),
@@ -356,14 +363,14 @@ def files_to_picture(
     *,
     heading_deg: float = 180.0,
 ) -> tuple[MergeResult, dict[str, float]]:
-    """Merge files of one heading and write the picture; return the result, and one figure by name.
+    """Merge files of one heading and write the picture; return the result and its illuminance.
 
-    It is vertical_illuminance_lx, at the camera, on a plane that faces the picture's centre.
-    Exposures come from the EXIF; the sun's disc is not searched for. options, heading_deg: as for
-    `merge_shots`. Raises InputError for a frame that cannot be merged, or if `out` ends neither in
-    .exr nor in .hdr.
+    The illuminance is a dict with the key vertical_illuminance_lx: at the camera, on a plane that
+    faces the picture's centre. Exposures come from the EXIF; the sun's disc is not searched for.
+    options, heading_deg: as for `merge_shots`. Raises InputError for a frame that cannot be merged,
+    or if `out` ends neither in .exr nor in .hdr.
     """
-    if out.suffix.lower() not in PICTURE_SUFFIXES:  # before it merges
+    if out.suffix.lower() not in PICTURE_SUFFIXES:  # before the merge, not after it
         raise InputError(out, f"the suffix '{out.suffix}'", ".exr or .hdr", "correct --out")
     options = options or MergeOptions()
     shots = shots_of_files(files, profile.camera.fixed_f_number)

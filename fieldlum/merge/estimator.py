@@ -19,8 +19,8 @@ from fieldlum.core.records import Flag
 from fieldlum.merge.linear_frames import Signal
 
 
-class Rows(NamedTuple):
-    """Some pixels of a frame.
+class FramePixels(NamedTuple):
+    """Some pixels of one frame, at the same places as those of the other frames.
 
     counts: counts above black, or the linear light of a JPEG; full: mask in the shape of counts,
     True at saturated pixels and next to them; None if nothing is saturated.
@@ -34,6 +34,16 @@ class Rows(NamedTuple):
         """Return a mask in the shape of `counts` [...], True for counts that are usable."""
         usable = self.signal.usable(self.counts)
         return usable if self.full is None else usable & ~self.full
+
+    def weight(self, predicted_cdm2: Floats32) -> Floats32:
+        """Return the weight of the counts in the mean of all frames [...], 0 where saturated.
+
+        predicted_cdm2: luminance by all frames [...], from which a count's variance follows.
+        """
+        weight = self.signal.weight(predicted_cdm2)
+        if self.full is not None:
+            weight[self.full] = 0.0
+        return weight
 
 
 class Merged(NamedTuple):
@@ -51,24 +61,24 @@ class Merged(NamedTuple):
 def merge_signals(
     frames: Sequence[Signal], shape: tuple[int, ...], *, passes: int = 2, u_ratio: float = 0.003
 ) -> Merged:
-    """Merge frames of one `shape`, most exposed first.
+    """Return the merged pixels of frames that all have one `shape`, most exposed first.
 
-    Each strip of rows goes through all passes while it is in a core's cache. passes, u_ratio:
-    as for `merge_rows`.
+    passes, u_ratio: as for `merge_pixels`. The frames are merged in strips of rows, each of which
+    goes through all passes while it is in a core's cache.
     """
     value, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
     flags = np.empty(shape, np.uint8)
     # elements that fit in a core's cache; decides speed only
     step = max(1, (1 << 17) // int(np.prod(shape[1:])))
-    for a in range(0, shape[0], step):
-        b = min(a + step, shape[0])
-        rows = [Rows(signal, *signal.strip(a, b)) for signal in frames]
-        value[a:b], variance[a:b], flags[a:b] = merge_rows(rows, passes, u_ratio)
+    for first in range(0, shape[0], step):
+        rows = slice(first, min(first + step, shape[0]))
+        strips = [FramePixels(signal, *signal.strip(rows.start, rows.stop)) for signal in frames]
+        value[rows], variance[rows], flags[rows] = merge_pixels(strips, passes, u_ratio)
     return Merged(value, variance, flags)
 
 
-def merge_rows(rows: Sequence[Rows], passes: int = 2, u_ratio: float = 0.003) -> Merged:
-    """Merge the same pixels of some frames, most exposed first.
+def merge_pixels(frames: Sequence[FramePixels], passes: int = 2, u_ratio: float = 0.003) -> Merged:
+    """Return the merged values of the same pixels of some frames, most exposed first.
 
     passes: number of weighted passes. u_ratio: relative disagreement of frames that does not count
     as motion. Where frames disagree by more than five standard deviations beyond it, the pixel gets
@@ -78,24 +88,25 @@ def merge_rows(rows: Sequence[Rows], passes: int = 2, u_ratio: float = 0.003) ->
     saturation gets a lower bound and the flag CLIPPED_HIGH. If a frame lost it only because its
     neighbour is saturated, it gets the value of the most exposed such frame, and the flag BLOOM.
     """
-    mean = _predicted(rows)
+    mean = _unweighted_mean(frames)
     weights: list[Floats32] = []
-    information = mean
+    information = mean  # inverse variance of the mean, from the first weighted pass on
     for _ in range(passes):
-        predicted = np.maximum(mean, 0.0)
-        weights = [_weight(row, predicted) for row in rows]
-        information = _sum(weights, [row.signal.per_cdm2 for row in rows])
-        mean = _quotient(_sum(weights, [row.counts for row in rows]), information)
+        predicted_cdm2 = np.maximum(mean, 0.0)
+        weights = [frame.weight(predicted_cdm2) for frame in frames]
+        information = _sum(weights, [frame.signal.per_cdm2 for frame in frames])
+        mean = _quotient(_sum(weights, [frame.counts for frame in frames]), information)
     informed = information > 0
     variance = np.divide(1.0, information, out=np.zeros_like(information), where=informed)
-    flags = np.zeros(mean.shape, np.uint8)
-    if len(rows) > 1:
-        _flag_motion(rows, weights, Merged(mean, variance, flags), u_ratio)
-    if any(row.signal.through_nd for row in rows):
-        bare = [0.0 if row.signal.through_nd else row.signal.per_cdm2 for row in rows]
-        flags[informed & (_sum(weights, bare) < 0.5 * information)] |= np.uint8(Flag.ND)
-    _fill_lost(rows, mean, variance, flags)
-    return Merged(mean, variance, flags)
+    merged = Merged(mean, variance, np.zeros(mean.shape, np.uint8))
+    if len(frames) > 1:
+        _flag_motion(frames, weights, merged, u_ratio)
+    if any(frame.signal.through_nd for frame in frames):
+        bare = [0.0 if frame.signal.through_nd else frame.signal.per_cdm2 for frame in frames]
+        mostly_filtered = _sum(weights, bare) < 0.5 * information
+        merged.flags[informed & mostly_filtered] |= np.uint8(Flag.ND)
+    _fill_lost(frames, merged)
+    return merged
 
 
 def _sum(weights: Sequence[Floats32], factors: Sequence[Floats32 | float]) -> Floats32:
@@ -111,43 +122,39 @@ def _quotient(total: Floats32, weight: Floats32) -> Floats32:
     return np.divide(total, weight, out=np.full_like(weight, np.inf), where=weight > 0)
 
 
-def _predicted(rows: Sequence[Rows]) -> Floats32:
-    """Return sum y / sum e over usable counts, infinite where no frame is usable."""
-    total, exposure = (np.zeros(rows[0].counts.shape, np.float32) for _ in range(2))
-    for row in rows:
-        usable = row.usable()
-        np.add(total, row.counts, out=total, where=usable)
-        np.add(exposure, row.signal.per_cdm2, out=exposure, where=usable)
+def _unweighted_mean(frames: Sequence[FramePixels]) -> Floats32:
+    """Return the sum of usable counts over the sum of their counts per cd/m2, in cd/m2.
+
+    It is infinite where no frame is usable.
+    """
+    total, exposure = (np.zeros(frames[0].counts.shape, np.float32) for _ in range(2))
+    for frame in frames:
+        usable = frame.usable()
+        np.add(total, frame.counts, out=total, where=usable)
+        np.add(exposure, frame.signal.per_cdm2, out=exposure, where=usable)
     return _quotient(total, exposure)
 
 
-def _weight(row: Rows, predicted: Floats32) -> Floats32:
-    """Return the weight of a frame's counts in the mean, 0 where full; predicted: cd/m2."""
-    weight = row.signal.weight(predicted)
-    if row.full is not None:
-        weight[row.full] = 0.0
-    return weight
-
-
 def _flag_motion(
-    rows: Sequence[Rows], weights: Sequence[Floats32], merged: Merged, u_ratio: float
+    frames: Sequence[FramePixels], weights: Sequence[Floats32], merged: Merged, u_ratio: float
 ) -> None:
-    """Flag pixels whose frames disagree: they make the mean at least this uncertain.
+    """Flag the pixels at which frames disagree, and increase their variance, in place.
 
-    rows: the same pixels of each frame; weights: of each frame's counts in the mean, 0 if unused;
-    merged: changed in place; u_ratio: relative standard uncertainty of an exposure ratio. chi2 is
-    compared with its expectation (freedom), to which errors of the ratios add.
+    frames: the same pixels of each; weights: of each frame's counts in the mean, 0 if unused;
+    merged: the mean of these frames; u_ratio: relative standard uncertainty of an exposure ratio.
+    chi2, the weighted sum of squared residuals, is compared with its expectation: the number of
+    frames less one, to which errors of the ratios add.
     """
     informed = merged.variance > 0
     mean = np.where(informed, merged.value_cdm2, 0.0)
     chi2 = np.zeros_like(mean)
-    for row, weight in zip(rows, weights, strict=True):
-        off = row.counts - mean * row.signal.per_cdm2
-        off *= off
-        off *= weight
-        off /= row.signal.per_cdm2
-        chi2 += off
-    freedom = len(rows) - 1
+    for frame, weight in zip(frames, weights, strict=True):
+        term = frame.counts - mean * frame.signal.per_cdm2  # in place, because memory limits speed
+        term *= term
+        term *= weight
+        term /= frame.signal.per_cdm2
+        chi2 += term
+    freedom = len(frames) - 1
     tolerated = np.zeros_like(mean)
     np.divide((u_ratio * mean) ** 2 * freedom, merged.variance, out=tolerated, where=informed)
     # five standard deviations: one still pixel in two million is beyond
@@ -156,28 +163,27 @@ def _flag_motion(
     merged.variance[moved] *= chi2[moved] / freedom
 
 
-def _fill_lost(
-    rows: Sequence[Rows], value: Floats32, variance: Floats32, flags: NDArray[np.uint8]
-) -> None:
-    """Fill the pixels that no frame could measure.
+def _fill_lost(frames: Sequence[FramePixels], merged: Merged) -> None:
+    """Fill the pixels that no frame could measure, in place.
 
-    They get the value of the most exposed readable frame, else a lower bound. rows: frames from the
-    most to the least exposed; value [cd/m2], variance, flags: changed in place, value NaN where
-    lost.
+    They get the value of the most exposed readable frame, else a lower bound: the largest luminance
+    that any of the frames can read. frames: most exposed first; merged: values that are not finite
+    where lost.
     """
+    value, variance, flags = merged
     lost = ~np.isfinite(value)
     if not lost.any():
         return
     bound = np.zeros_like(value)
-    for row in rows:
-        signal = row.signal
+    for frame in frames:
+        signal = frame.signal
         per_cdm2 = np.broadcast_to(signal.per_cdm2, value.shape)
         largest_cdm2 = np.broadcast_to(signal.max_cdm2, value.shape)
-        readable, spread = signal.readable(row.counts)
+        readable, count_variance = signal.readable(frame.counts)
         # noise of a fifth: darker frames do not fill pixels that other frames lost
-        filled = lost & readable & (row.counts > 5.0 * np.sqrt(spread))
-        value[filled] = (row.counts / per_cdm2)[filled]
-        variance[filled] = (spread / per_cdm2**2)[filled]
+        filled = lost & readable & (frame.counts > 5.0 * np.sqrt(count_variance))
+        value[filled] = (frame.counts / per_cdm2)[filled]
+        variance[filled] = (count_variance / per_cdm2**2)[filled]
         flags[filled] |= np.uint8(Flag.BLOOM)
         lost &= ~filled
         full = lost & ~readable

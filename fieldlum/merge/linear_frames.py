@@ -19,17 +19,8 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.progress import progress
 from fieldlum.merge.shift import ReducedFrame, reduced
 from fieldlum.merge.shots import Shot
+from fieldlum.optics import linear_light
 from fieldlum.optics.camera_curves import linearity_factor
-from fieldlum.optics.linear_light import (
-    black_dn,
-    check_frame,
-    frame_z_per_cdm2,
-    full_dn,
-    gain_e_per_dn,
-    nd_factors,
-    response_tables,
-    saturation_plateau,
-)
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.raw import Mosaic, channel_positions, read_jpeg, read_mosaic
 
@@ -98,9 +89,10 @@ class Saturation:
         iso, black = mosaic.exposure.iso, profile.sensor.black_dn
         if iso not in self.plateau_dn:
             step = 2 * max(1, mosaic.counts.size // 6_000_000)  # limits the time
+            places = channel_positions(mosaic.cfa)
+            colours = [mosaic.counts[row::step, column::2] for row, column in places]
             self.plateau_dn[iso] = tuple(
-                saturation_plateau(mosaic.counts[row::step, column::2], mosaic.white_dn)
-                for row, column in channel_positions(mosaic.cfa)
+                linear_light.saturation_plateau(counts, mosaic.white_dn) for counts in colours
             )
             off = np.subtract(mosaic.black_dn, black).tolist() if any(black) else ()
             self.black_off_dn = max([self.black_off_dn, *off], key=abs)
@@ -113,9 +105,9 @@ class RawSignal:
 
     counts: as in the file; black: the black level [DN]; saturation: counts above black at which
     a pixel saturates [DN]; per_cdm2: counts above black per cd/m2. Each of the last three is an
-    array [2, columns] if the four colours differ, otherwise a scalar. through_nd: whether a
-    filter was used. noise_dn2: variance of read noise and quantisation [DN^2]; linearity: the
-    profile's coefficients, which correct shares of scale_dn; scale_dn: full scale above black.
+    array [2, columns] if the four colours differ, otherwise a scalar. noise_dn2: variance of read
+    noise and quantisation [DN^2]. through_nd: whether a filter was used. linearity: the profile's
+    coefficients, a polynomial of the counts' share of scale_dn; scale_dn: full scale above black.
     """
 
     counts: NDArray[np.uint16]
@@ -129,6 +121,7 @@ class RawSignal:
     scale_dn: float = 65535.0
 
     def _linear(self, above: Floats32) -> Floats32:
+        """Return counts above black [...] corrected in place for the sensor's linearity."""
         if self.linearity:
             above *= linearity_factor(above / np.float32(self.scale_dn), self.linearity)
         return above
@@ -151,6 +144,7 @@ class RawSignal:
 
     @cached_property
     def _any_full(self) -> float:
+        """Lowest count, black included, at which a pixel of some colour is saturated."""
         return float(np.min(_FULL * self.saturation + self.black))
 
     def strip(self, first: int, last: int) -> tuple[Floats32, Mask | None]:
@@ -159,10 +153,7 @@ class RawSignal:
         The counts are corrected for linearity. The mask [rows, 2, w] is True at saturated pixels
         and within two pixels of them; None if nothing is saturated.
         """
-        part = self.counts[first:last]
-        above = part.astype(np.float32)
-        above -= self.black
-        above = self._linear(above)
+        above = self._linear(self.counts[first:last] - self.black)
         around = self.counts[max(first - 1, 0) : last + 1]
         if around.max(initial=0) < self._any_full:
             return above, None
@@ -173,10 +164,11 @@ class RawSignal:
 
         Charge spills to neighbouring pixels and affects the other colours too.
         """
-        a, b = max(first - 1, 0), min(last + 1, len(self.counts))
-        full = (self.counts[a:b] - self.black >= _FULL * self.saturation).view(np.uint8)
-        wide = cv2.dilate(full.reshape(-1, full.shape[-1]), np.ones((5, 5), np.uint8))
-        return np.reshape(wide, full.shape)[first - a : last - a].view(np.bool_)
+        start = max(first - 1, 0)
+        above = self.counts[start : last + 1] - self.black
+        full = (above >= _FULL * self.saturation).view(np.uint8)
+        near = cv2.dilate(full.reshape(-1, full.shape[-1]), np.ones((5, 5), np.uint8))
+        return np.reshape(near, full.shape)[first - start : last - start].view(np.bool_)
 
     def weight(self, predicted_cdm2: Floats32) -> Floats32:
         """Return the weight in the merge: per_cdm2 over photon and read variance, [...].
@@ -184,11 +176,11 @@ class RawSignal:
         predicted_cdm2: luminance by all frames [...], from which the variance follows. The weight
         is 0 where it exceeds `max_cdm2`.
         """
-        w = predicted_cdm2 * np.asarray(self.per_cdm2 / self.gain_e_per_dn, np.float32)
-        w += np.float32(self.noise_dn2)
-        np.divide(self.per_cdm2, w, out=w)
-        w *= predicted_cdm2 < self.max_cdm2
-        return w
+        weight = predicted_cdm2 * np.asarray(self.per_cdm2 / self.gain_e_per_dn, np.float32)
+        weight += np.float32(self.noise_dn2)  # now the variance [DN^2]
+        np.divide(self.per_cdm2, weight, out=weight)
+        weight *= predicted_cdm2 < self.max_cdm2
+        return weight
 
     def usable(self, counts: Floats32) -> Mask:
         """Return a mask, True for counts above black [rows, ...] below `usable_limit`."""
@@ -200,20 +192,20 @@ class RawSignal:
         variance = np.maximum(counts, 0.0) / gain + noise
         return self.usable(counts), variance.astype(np.float32)
 
-    def small(self) -> ReducedFrame:
+    def reduced_frame(self) -> ReducedFrame:
         """Return a reduced picture, the mean of all colours, to detect turns by its edges."""
         counts = self.counts.reshape(-1, self.counts.shape[-1])
         above = counts.astype(np.float32)
         above -= np.float32(self.black.mean())
-        dark = 8.0 * float(np.sqrt(self.noise_dn2))
-        return reduced(above, counts < self._any_full, dark, cell=2)
+        dark_dn = 8.0 * float(np.sqrt(self.noise_dn2))  # below, noise would look like edges
+        return reduced(above, counts < self._any_full, dark_dn, cell=2)
 
     def sampled(self, rows: int, columns: int) -> tuple[RawSignal, Mask]:
         """Return a signal of evenly spread pixels, about [rows, 2, columns], and a mask.
 
         The mask, in the signal's shape, is True for pixels at or next to saturation.
         """
-        at = evenly_spread(len(self.counts), rows)
+        at = evenly_spread(len(self.counts), rows)  # indices of pairs of rows
         # An odd step samples both columns of the mosaic.
         step = max(1, self.counts.shape[-1] // columns) | 1
         full = np.concatenate([self._near_full(i, i + 1) for i in at.tolist()])
@@ -225,9 +217,9 @@ class RawSignal:
 
 
 def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> Floats32:
-    """Return the values of R, G1, G2 and B arranged on the mosaic, [2, width].
+    """Return values of R, G1, G2 and B [4] repeated over two rows of the mosaic, [2, width].
 
-    A scalar if all are equal.
+    Return a scalar, with which numpy computes faster, if the four are equal.
     """
     if len(set(by_colour)) == 1:
         return np.asarray(by_colour[0], np.float32)
@@ -248,25 +240,26 @@ def load_raw(
     """
     mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
     sensor, body = profile.sensor, profile.camera
-    check_frame(shot.path, mosaic.counts.shape, mosaic.model, profile)
+    linear_light.check_frame(shot.path, mosaic.counts.shape, mosaic.model, profile)
     if mosaic.cfa != sensor.cfa:
         expected, remedy = f"{sensor.cfa}, as in {body.name}", "use the profile of its camera"
         raise InputError(shot.path, f"the colour filter pattern {mosaic.cfa}", expected, remedy)
     plateau = (saturation or Saturation()).measured(mosaic, profile)
     part = mosaic.counts[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
     counts = np.ascontiguousarray(part).reshape(crop.height // 2, 2, crop.width)
-    black = black_dn(mosaic, profile)
-    full = [f - b for f, b in zip(full_dn(mosaic, profile, plateau), black, strict=True)]
-    per = frame_z_per_cdm2(shot.exposure, profile)
-    red, green, blue = nd_factors(shot.exposure.nd, profile)
-    factors = zip(black, (red, green, green, blue), strict=True)
-    per_colour = [per * (sensor.white_dn - b) / f for b, f in factors]
-    gain = gain_e_per_dn(shot.exposure.iso, profile)
+    black = linear_light.black_dn(mosaic, profile)
+    full = np.subtract(linear_light.full_dn(mosaic, profile, plateau), black).tolist()
+    z_per_cdm2 = linear_light.frame_z_per_cdm2(shot.exposure, profile)
+    red, green, blue = linear_light.nd_factors(shot.exposure.nd, profile)
+    # the linear signal z is 1 at white_dn, by definition
+    of_colours = zip(black, (red, green, green, blue), strict=True)
+    per_cdm2 = [z_per_cdm2 * (sensor.white_dn - dark) / factor for dark, factor in of_colours]
+    gain = linear_light.gain_e_per_dn(shot.exposure.iso, profile)
     return RawSignal(
         counts=counts,
         black=_cell_pattern(mosaic.cfa, black, crop.width),
         saturation=_cell_pattern(mosaic.cfa, full, crop.width),
-        per_cdm2=_cell_pattern(mosaic.cfa, per_colour, crop.width),
+        per_cdm2=_cell_pattern(mosaic.cfa, per_cdm2, crop.width),
         gain_e_per_dn=gain,
         noise_dn2=(sensor.read_noise_e / gain) ** 2 + 1 / 12,
         through_nd=bool(shot.exposure.nd),
@@ -297,6 +290,7 @@ class JpegSignal:
 
     @cached_property
     def _top(self) -> int:
+        """Highest code that is used."""
         return _TOP_CODE if self.bright_end else self.high_code
 
     def _rows(self, colours: Array) -> Array:
@@ -305,7 +299,7 @@ class JpegSignal:
 
     @cached_property
     def _limits(self) -> tuple[Floats32, Floats32, Floats32]:
-        """Lowest and highest z that are used, and highest readable z, [w, 3] each."""
+        """Lowest and highest z that are used, and z of code 250, [w, 3] each."""
         low = np.full(3, -1.0, np.float32) if self.dark_end else self.z_of_code[self.low_code]
         high, top = self.z_of_code[self._top], self.z_of_code[_TOP_CODE]
         return self._rows(low), self._rows(high), self._rows(top)
@@ -320,19 +314,21 @@ class JpegSignal:
         z = (np.arange(_Z_STEPS) + 0.5) / _Z_STEPS * _Z_TOP
         variance, weight = np.empty((3, _Z_STEPS), np.float32), np.empty((3, _Z_STEPS), np.float32)
         codes = np.arange(256.0)
-        low, per = 0 if self.dark_end else self.low_code, self._rows(self.per_cdm2)[0]
+        low, per_cdm2 = 0 if self.dark_end else self.low_code, self._rows(self.per_cdm2)[0]
         for c in range(3):
+            # strictly rising, because the response is inverted
             curve = self.z_of_code[:, c].astype(np.float64) + np.arange(256) * 1e-9
             code = np.interp(z, curve, codes)
             slope = np.interp(code, codes, np.maximum(np.gradient(curve), 1e-6))
-            variance[c] = slope**2 * (_SIGMA_CODE**2 + 1 / 12)
-            weight[c] = np.where((code >= low) & (code <= self._top), per[c] / variance[c], 0.0)
+            variance[c] = slope**2 * (_SIGMA_CODE**2 + 1 / 12)  # 1/12: of rounding to a code
+            used = (code >= low) & (code <= self._top)
+            weight[c] = np.where(used, per_cdm2[c] / variance[c], 0.0)
         return variance.reshape(-1), weight.reshape(-1)
 
     def _looked_up(self, table: Floats32, z: Floats32) -> Floats32:
-        """Return the values of a table at z, overwriting z.
+        """Return the values of one of `_tables` at linear light z [rows, W, 3], overwriting z.
 
-        An unknown luminance is infinite and counts as above the top code.
+        z of an unknown luminance is infinite and gets the last value of the table.
         """
         z *= np.float32(_Z_STEPS / _Z_TOP)
         np.minimum(z, np.float32(_Z_STEPS - 1), out=z)
@@ -353,11 +349,11 @@ class JpegSignal:
 
     def _near_full(self, first: int, last: int) -> Mask:
         """Return a mask of pixels that are saturated, or within two pixels of a saturated one."""
-        a, b = max(first - 2, 0), min(last + 2, len(self.codes))
-        # 255 where no colour is saturated.
-        below = cv2.inRange(self.codes[a:b], (0, 0, 0), (_TOP_CODE,) * 3)
-        wide = cv2.erode(below, np.ones((5, 5), np.uint8))[first - a : last - a] == 0
-        return np.repeat(wide[:, :, None], 3, axis=2)
+        start = max(first - 2, 0)
+        # 255 where no colour is saturated
+        below = cv2.inRange(self.codes[start : last + 2], (0, 0, 0), (_TOP_CODE,) * 3)
+        near = cv2.erode(below, np.ones((5, 5), np.uint8))[first - start : last - start] == 0
+        return np.repeat(near[:, :, None], 3, axis=2)
 
     def weight(self, predicted_cdm2: Floats32) -> Floats32:
         """Return the weight in the merge: per_cdm2 over the variance of the light z, in its shape.
@@ -387,7 +383,7 @@ class JpegSignal:
         """Luminance of code 250, broadcastable to [H, W, 3], in cd/m2."""
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
 
-    def small(self) -> ReducedFrame:
+    def reduced_frame(self) -> ReducedFrame:
         """Return a reduced picture of the green colour, to detect turns by its edges."""
         green = np.ascontiguousarray(self.codes[..., 1])
         light = np.asarray(cv2.LUT(green, np.ascontiguousarray(self.z_of_code[:, 1])), np.float32)
@@ -401,9 +397,8 @@ class JpegSignal:
         at = evenly_spread(len(self.codes), rows)
         step = max(1, self.codes.shape[1] // columns)
         full = np.concatenate([self._near_full(i, i + 1) for i in at.tolist()])
-        per = self._rows(self.per_cdm2)[::step]
-        codes = self.codes[at][:, ::step]
-        part = replace(self, codes=codes, per_cdm2=per, bright_end=False, dark_end=False)
+        codes, per_cdm2 = self.codes[at][:, ::step], self._rows(self.per_cdm2)[::step]
+        part = replace(self, codes=codes, per_cdm2=per_cdm2, bright_end=False, dark_end=False)
         return part, full[:, ::step]
 
 
@@ -417,13 +412,14 @@ def load_jpeg(
     this camera, and for a filter that the profile does not have.
     """
     frame = read_jpeg(shot.path, camera_pixels=profile.camera.pixels)
-    check_frame(shot.path, frame.codes.shape, frame.model, profile)
-    per, factors = frame_z_per_cdm2(shot.exposure, profile), nd_factors(shot.exposure.nd, profile)
+    linear_light.check_frame(shot.path, frame.codes.shape, frame.model, profile)
+    factors = np.array(linear_light.nd_factors(shot.exposure.nd, profile))
+    per_cdm2 = linear_light.frame_z_per_cdm2(shot.exposure, profile) / factors
     part = frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
     return JpegSignal(
         codes=np.ascontiguousarray(part),
-        z_of_code=response_tables(profile).astype(np.float32),
-        per_cdm2=np.tile(np.asarray([per / f for f in factors], np.float32), (crop.width, 1)),
+        z_of_code=linear_light.response_tables(profile).astype(np.float32),
+        per_cdm2=np.tile(per_cdm2.astype(np.float32), (crop.width, 1)),
         low_code=profile.response.low_code,
         high_code=profile.response.high_code,
         dark_end=ends[0],
@@ -438,9 +434,10 @@ Signal = RawSignal | JpegSignal
 def read_frames(
     shots: Sequence[Shot], profile: CameraProfile, crop: Crop
 ) -> tuple[list[Signal], Saturation]:
-    """Read the frames of a bracket, most exposed first, and measure where they saturate.
+    """Read the frames of a bracket, and measure at which counts raw frames saturate.
 
-    Raises the errors of `load_raw` and `load_jpeg`.
+    shots: most exposed first; crop: the rectangle of the sensor to read. Raises InputError for a
+    frame that cannot be read or is of another camera.
     """
     signals: list[Signal] = []
     saturation = Saturation()
@@ -456,6 +453,6 @@ def read_frames(
 def scaled(frames: Sequence[Signal], factors: Floats) -> list[Signal]:
     """Return frames whose assumed exposures are multiplied by factors [frames]."""
     return [
-        replace(s, per_cdm2=(s.per_cdm2 * np.float32(factor)).astype(np.float32))
-        for s, factor in zip(frames, factors, strict=True)
+        replace(frame, per_cdm2=frame.per_cdm2 * np.float32(factor))
+        for frame, factor in zip(frames, factors, strict=True)
     ]

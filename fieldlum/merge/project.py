@@ -25,11 +25,12 @@ from fieldlum.optics.stray_light import stray_cdm2
 
 @dataclass(frozen=True, slots=True)
 class Resampler:
-    """Matrices [target pixels, sensor pixels] by colour; rows sum to 1, or 0 where nothing is seen.
+    """How the pixels of a target grid are weighted means of the pixels of a sensor.
 
-    coverage : share of a target pixel's solid angle that is on the sensor inside the lens,
-    [pixels]. angle_rad : mean angle from the optical axis of that part, [pixels]. matrices :
-    scipy.sparse.csr_array of float32 for each colour.
+    matrices: by colour, scipy.sparse.csr_array of float32 [target pixels, sensor pixels]; a row
+    sums to 1, or to 0 where the sensor sees nothing. coverage [target pixels]: share of a pixel's
+    solid angle that is on the sensor inside the lens. angle_rad [target pixels]: mean angle from
+    the optical axis of that part.
     """
 
     matrices: dict[str, Any]
@@ -37,14 +38,16 @@ class Resampler:
     angle_rad: Floats32
 
 
+# Row and column of the origin, of a step right and of a step down. The pixels of a colour are at
+# origin + p right + q down, with integers p and q.
 _Lattice = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 
 
 def _lattice(cfa: str, colour: str) -> _Lattice:
-    """Return the lattice of a colour: row and column of its origin, of a step right and one down.
+    """Return the lattice of the sensor pixels of a colour ("R", "G" or "B").
 
-    Its sensor pixels are origin + p right + q down, with integers p and q. Without a cfa all
-    colours are at every pixel.
+    cfa: colours of the mosaic's 2 x 2 cell, row by row; "" for a sensor with all colours at every
+    pixel.
     """
     places = [divmod(i, 2) for i, letter in enumerate(cfa) if letter == colour] or [(0, 0)]
     if len(places) == 2:  # green: at 45 degrees
@@ -54,10 +57,11 @@ def _lattice(cfa: str, colour: str) -> _Lattice:
 
 
 class _Samples(NamedTuple):
-    """The samples of some target pixels that the sensor sees inside the lens, [n] each.
+    """Directions within some target pixels that the sensor sees inside the lens, [n] each.
 
-    pixel : of the target, from the block's first; x, y : sensor coordinates; share : of their
-    pixel's weight that is seen. coverage, angle_rad : of each target pixel [pixels].
+    pixel: number of the target pixel, from the first of these rows; x, y: place on the sensor [px];
+    share: of the solid angle of that pixel's samples. coverage, angle_rad [pixels]: of each target
+    pixel, as in `Resampler`.
     """
 
     pixel: Indices
@@ -76,11 +80,12 @@ def _samples(
     sub: int,
     margin_px: float,
 ) -> _Samples:
-    """Return the samples of the target's rows from the first to before the last.
+    """Return the samples of some rows of the target.
 
-    rows : these two; sub : samples down a pixel; near the poles meridians converge, and fewer
-    across suffice. margin_px : distance from the circle and from the sensor's edge that keeps all
-    four neighbours of a sample inside.
+    sensor_shape: its rows and columns; rows: the first one, and the one after the last; sub:
+    samples down a pixel (near the poles meridians converge, and fewer across suffice). margin_px:
+    distance from the circle and from the sensor's edge that keeps all four neighbours of a sample
+    inside.
     """
     (first, last), width, across = rows, target.shape[1], sub
     # Samples along an edge are a multiple of the edge's cells, which are at most half a degree
@@ -118,10 +123,10 @@ def _samples(
 
 
 def _matrix(samples: _Samples, lattice: _Lattice, sensor_shape: tuple[int, int]) -> Any:
-    """Return the matrix of one colour: samples distributed bilinearly over four pixels.
+    """Return the matrix of one colour, which distributes each sample bilinearly over four pixels.
 
-    lattice: of the colour's pixels, by `_lattice`; sensor_shape: rows and columns. The matrix is
-    CSR [target pixels, sensor pixels]; a sample is p steps right and q steps down from the origin.
+    lattice: of the colour's pixels; sensor_shape: rows and columns. The matrix is CSR [target
+    pixels, sensor pixels]. A sample is p steps right and q steps down from the lattice's origin.
     """
     origin, right, down = lattice
     x, y = samples.x - (origin[1] + 0.5), samples.y - (origin[0] + 0.5)
@@ -144,14 +149,14 @@ def _matrix(samples: _Samples, lattice: _Lattice, sensor_shape: tuple[int, int])
 
 
 def _samples_per_pixel(target: Target, lens: LensGeometry, spacing_px: float) -> int:
-    """Return the samples along one edge of a target pixel, 3 to 24.
+    """Return how many samples along one edge of a target pixel are needed, 3 to 24.
 
-    spacing_px: distance of sensor pixels of one colour. If 24 samples are enough for it, none of
-    these pixels is between two samples; energy is then kept within 0.35 % (docs/validation.md).
+    spacing_px: distance of sensor pixels of one colour. Unless more than 24 were needed, none of
+    these pixels is between two samples, and energy is preserved within 0.35 % (docs/validation.md).
     """
     half = lens.half_angle_rad
-    densest = lens.radius_px * max(1.0 / np.sin(min(half, np.pi / 2)), 1.0 / half)
-    needed = np.ceil(densest * target.pixel_rad / (1.1 * spacing_px))
+    most_px_per_rad = lens.radius_px * max(1.0 / np.sin(min(half, np.pi / 2)), 1.0 / half)
+    needed = np.ceil(most_px_per_rad * target.pixel_rad / (1.1 * spacing_px))
     return int(np.clip(needed, 3, 24))
 
 
@@ -160,29 +165,27 @@ def _samples_per_pixel(target: Target, lens: LensGeometry, spacing_px: float) ->
 def resampler(
     target: Target, lens: LensGeometry, sensor_shape: tuple[int, int], cfa: str = ""
 ) -> Resampler:
-    """Return the matrices from a sensor [h, w] behind `lens` to `target`; computed once, cached.
+    """Return the matrices from the pixels of a sensor behind `lens` to those of `target`.
 
-    cfa : four letters row by row, or "" for a sensor with all colours at every pixel (one matrix,
-    named "").
+    sensor_shape: its rows and columns; cfa: colours of the mosaic's 2 x 2 cell, row by row, or ""
+    for a sensor with all colours at every pixel, which has one matrix with the name "". The result
+    is cached, because all brackets of a camera use it.
     """
     sub = _samples_per_pixel(target, lens, 2.0**0.5 if cfa else 1.0)  # green pixels are densest
     height, width = target.shape
     # samples that fit the cache of a core; decides speed only
     step = max(1, 250_000 // (width * sub * sub))
-    parts: dict[str, list[Any]] = {colour: [] for colour in sorted(set(cfa)) or [""]}
-    seen = []
+    blocks: dict[str, list[Any]] = {colour: [] for colour in sorted(set(cfa)) or [""]}
+    of_pixels = []
     for first in range(0, height, step):
         rows = (first, min(first + step, height))
         samples = _samples(target, lens, sensor_shape, rows, sub, 1.5 if cfa else 0.75)
-        seen.append((samples.coverage, samples.angle_rad))
-        for colour, blocks in parts.items():
-            blocks.append(_matrix(samples, _lattice(cfa, colour), sensor_shape))
-    coverage, angle_rad = np.concatenate(seen, axis=1).astype(np.float32)
-    return Resampler(
-        {colour: sparse.vstack(blocks, format="csr") for colour, blocks in parts.items()},
-        coverage,
-        angle_rad,
-    )
+        of_pixels.append((samples.coverage, samples.angle_rad))
+        for colour, matrices in blocks.items():
+            matrices.append(_matrix(samples, _lattice(cfa, colour), sensor_shape))
+    matrices = {colour: sparse.vstack(parts, format="csr") for colour, parts in blocks.items()}
+    coverage, angle_rad = np.concatenate(of_pixels, axis=1).astype(np.float32)
+    return Resampler(matrices, coverage, angle_rad)
 
 
 # Share of a target pixel's weight that must have a flag before the target pixel gets the flag. For
@@ -201,10 +204,10 @@ class ProjectedImage:
     """What the lenses see of the target; arrays [n] over its pixels.
 
     luminance [cd/m2]; rgb [n, 3]: luminance by each colour of the camera. variance: of the
-    luminance's random error [(cd/m2)^2]. coverage: share (0 to 1) of the pixel that a lens
-    sees. edge: 0.01 at the lens's edge, rising to 1 at 0.06 rad inside it. u_vignetting,
-    u_ratio: relative standard uncertainties of the luminance due to vignetting and to the
-    exposures. flags: `Flag` bits. u_stray: standard uncertainty of the stray light that was
+    luminance's random error [(cd/m2)^2]. coverage: share (0 to 1) of the pixel that a lens sees.
+    edge: factor on the weight of a lens near its edge, 0.01 at the edge, 1 from 0.06 rad inside it.
+    u_vignetting, u_ratio: relative standard uncertainties of the luminance due to vignetting and to
+    the exposures. flags: `Flag` bits. u_stray: standard uncertainty of the stray light that was
     subtracted [cd/m2].
     """
 
@@ -221,9 +224,10 @@ class ProjectedImage:
 
 @dataclass(frozen=True, slots=True)
 class LensView(ProjectedImage):
-    """What one lens sees: a lens of the profile of a merged sensor.
+    """What one lens sees of the target.
 
-    stray: light that was subtracted [cd/m2]; None without a kernel.
+    sensor: merged frames of one heading; lens: one of its profile's. stray [n]: stray light that
+    was subtracted [cd/m2]; None if the profile has none.
     """
 
     lens: Lens
@@ -231,42 +235,49 @@ class LensView(ProjectedImage):
     stray: Floats | None = None
 
 
-def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray[np.uint8]]:
+def _project(
+    sensor: SensorImage, resampling: Resampler
+) -> tuple[Floats, Floats, NDArray[np.uint8]]:
     """Return camera RGB [n, 3], its random variance [n, 3] and the flags [n] of one lens.
 
-    r: the lens's matrices, by colour: one for a mosaic's each, or a single one named "". Only the
-    sensor pixels of the matrices are read, so that a small target costs little.
+    resampling: of the lens, with a matrix for each colour of a mosaic, or one with the name "" for
+    a JPEG. Only the sensor pixels of the matrices are read, so that a small target costs little.
     """
-    m, width = sensor.merged, 3 if "" in r.matrices else 1  # width: colours of a sensor pixel
-    value, variance, of_sensor = (a.reshape(-1, width) for a in (m.value_cdm2, m.variance, m.flags))
-    rgb, var = [], []
-    flags = np.zeros(len(r.coverage), np.uint8)  # those of bad pixels may count, which is harmless
-    for matrix in (r.matrices[colour] for colour in ("RGB" if width == 1 else ("",))):
+    merged, colours = sensor.merged, 3 if "" in resampling.matrices else 1  # of a sensor pixel
+    value, variance = (a.reshape(-1, colours) for a in (merged.value_cdm2, merged.variance))
+    of_sensor = merged.flags.reshape(-1, colours)
+    rgb, rgb_variance, pixels = [], [], len(resampling.coverage)
+    flags = np.zeros(pixels, np.uint8)  # those of bad pixels may count, which is harmless
+    for name in "RGB" if colours == 1 else ("",):
+        matrix = resampling.matrices[name]
         weights, share = sparse.csr_array(matrix), np.float32(1.0)
-        row = np.repeat(np.arange(len(flags)), np.diff(matrix.indptr))
+        row = np.repeat(np.arange(pixels), np.diff(matrix.indptr))  # of each entry of the matrix
         if sensor.good is not None:  # scale the weights of each row without its bad pixels to 1
             good = sensor.good.ravel()[matrix.indices]
-            lost = _row_sums(matrix.data, row, ~good, len(flags))
+            lost = _row_sums(matrix.data, row, ~good, pixels)
             share = np.maximum(1.0 - lost, 1e-6).astype(np.float32)[:, None]
             # a pixel without a good sensor pixel of some colour has no value
-            flags[(share[:, 0] < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
+            flags[(share[:, 0] < 0.05) & (resampling.coverage > 0)] |= np.uint8(Flag.FILLED)
             weights.data = matrix.data * good
         rgb.append(weights @ value / share)
         weights.data = weights.data**2
-        var.append(weights @ variance / share**2)
+        rgb_variance.append(weights @ variance / share**2)
         raised = np.asarray(of_sensor[:, 0][matrix.indices], np.uint8)
-        for colour in range(1, width):
+        for colour in range(1, colours):
             raised |= of_sensor[matrix.indices, colour]
         present = int(np.bitwise_or.reduce(raised, initial=0))
         for flag, minimum in _SHARE.items():
             if present & flag:
-                marked = _row_sums(matrix.data, row, raised & np.uint8(flag), len(flags))
+                marked = _row_sums(matrix.data, row, raised & np.uint8(flag), pixels)
                 flags[marked > minimum] |= np.uint8(flag)
-    return np.hstack(rgb).astype(np.float64), np.hstack(var).astype(np.float64), flags
+    return np.hstack(rgb).astype(np.float64), np.hstack(rgb_variance).astype(np.float64), flags
 
 
 def _row_sums(data: Floats32, row: Indices, chosen: NDArray[Any], rows: int) -> Floats:
-    """Return the sum over each row of a sparse matrix of its chosen entries; row: of each entry."""
+    """Return the sum of the chosen entries in each row of a sparse matrix, [rows].
+
+    data, row, chosen [entries]: value, row number and choice of each entry; rows: their number.
+    """
     at = np.flatnonzero(chosen)
     return np.asarray(np.bincount(row[at], data[at], rows), np.float64)
 
@@ -282,20 +293,20 @@ def view_through(
     """
     profile, geometry = sensor.profile, sensor.geometry(lens)
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
-    r = resampler(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
-    rgb, var, flags = _project(sensor, r)
-    coefficients, u_edge = vignetting_of(lens, sensor.f_number)
-    angle = r.angle_rad.astype(np.float64)
-    vignetting = vignetting_at(coefficients, angle / geometry.half_angle_rad)
-    worst = max(1.0 - float(vignetting_at(coefficients, 1.0)), 1e-9)
+    resampling = resampler(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
+    rgb, variance, flags = _project(sensor, resampling)
     weights = np.asarray(profile.colour.y_from_rgb)
-    parts = np.maximum(rgb * weights, 0.0) + 1e-30
+    parts = np.maximum(rgb * weights, 0.0) + 1e-30  # of the colours in the luminance, [n, 3]
     u_ratio = (parts * sensor.u_curve(rgb)).sum(axis=1) / parts.sum(axis=1)
-    rgb, var = rgb / vignetting[:, None], var / vignetting[:, None] ** 2
+    coefficients, u_at_edge = vignetting_of(lens, sensor.f_number)
+    angle = resampling.angle_rad.astype(np.float64)
+    vignetting = vignetting_at(coefficients, angle / geometry.half_angle_rad)
+    loss_at_edge = max(1.0 - float(vignetting_at(coefficients, 1.0)), 1e-9)
+    u_vignetting = u_at_edge * np.clip((1.0 - vignetting) / loss_at_edge, 0.0, 1.0)
+    rgb, variance = rgb / vignetting[:, None], variance / vignetting[:, None] ** 2
     # a lens fades out in a rim of 0.06 rad if another lens sees the same directions
     edge = np.clip((geometry.half_angle_rad - angle) / 0.06, 0.01, 1.0)
-    u_vignetting = u_edge * np.clip((1.0 - vignetting) / worst, 0.0, 1.0)
-    coverage = r.coverage.astype(np.float64)
+    coverage = resampling.coverage.astype(np.float64)
     light = rgb @ weights
     if stray is None and profile.stray.angle_deg:
         stray = _stray_of_lens(light, coverage > 0, profile, target)
@@ -305,7 +316,7 @@ def view_through(
         rgb = rgb * (remaining / np.maximum(light, 1e-12))[:, None]
     return LensView(
         luminance=remaining,
-        variance=var @ weights**2,
+        variance=variance @ weights**2,
         coverage=coverage,
         edge=edge,
         u_vignetting=u_vignetting,
@@ -322,7 +333,11 @@ def view_through(
 def _stray_of_lens(
     light: Floats, seen_mask: Mask, profile: CameraProfile, target: Target
 ) -> Floats:
-    """Return the stray light [n] in cd/m2 that the light within a lens's field causes."""
+    """Return the stray light [n] in cd/m2 that the light within a lens's field causes.
+
+    light [n]: recorded luminance [cd/m2] of the target's pixels, row by row; seen_mask [n]: True
+    for those that the lens sees.
+    """
     rays = target.rays(*(np.arange(count) + 0.5 for count in target.shape)).reshape(-1, 3)
     kernel = (np.asarray(profile.stray.angle_deg), np.asarray(profile.stray.per_sr))
     seen = np.where(seen_mask, light, 0.0)
@@ -346,8 +361,9 @@ def blend(views: Sequence[LensView]) -> ProjectedImage:
     common = np.divide(
         (coverage * luminance).sum(0), seen, out=np.zeros(len(seen)), where=(coverage > 0).any(0)
     )
-    spread2 = variance + (u_vignetting * common) ** 2 + (1e-4 * common) ** 2 + 1e-12
-    weight = np.where(coverage > 0, coverage * edge / spread2, 0.0)
+    # 1e-4 of the luminance limits the weight of a view that has hardly any noise
+    total_variance = variance + (u_vignetting * common) ** 2 + (1e-4 * common) ** 2 + 1e-12
+    weight = np.where(coverage > 0, coverage * edge / total_variance, 0.0)
     weight = np.where((flags & _SPOILT) > 0, weight * 1e-6, weight)
     total = weight.sum(0)
     share = np.divide(weight, total, out=np.zeros_like(weight), where=total > 0)
@@ -388,53 +404,56 @@ def finish(
     bench/merge_budget.py compares u with simulated cameras; bench/merge_scene.py compares the part
     for edges with a scene.
     """
-    p, light = profile, view.luminance
+    light, colour = view.luminance, profile.colour
     in_lens = (view.flags & Flag.OUTSIDE_LENS) == 0
-    response = curve_u_rel(p)
-    relative = (
-        view.u_ratio**2 + response**2 + view.u_vignetting**2 + p.colour.u_rel**2 + p.scale.u_rel**2
-    )
-    solid = target.solid_angles().ravel() * in_lens
-    floor = p.glare_floor_rel * float((light * solid).sum() / max(solid.sum(), 1e-12))
+    u_response = curve_u_rel(profile)
+    relative2 = view.u_ratio**2 + u_response**2 + view.u_vignetting**2
+    relative2 = relative2 + colour.u_rel**2 + profile.scale.u_rel**2
+    solid_sr = target.solid_angles().ravel() * in_lens
+    mean_cdm2 = float((light * solid_sr).sum() / max(solid_sr.sum(), 1e-12))
+    floor = profile.glare_floor_rel * mean_cdm2
     shape = target.shape
     edges = u_of_edges(light.reshape(shape), in_lens.reshape(shape), target, profile).ravel()
-    u = np.sqrt(view.variance + light**2 * relative + floor**2 + view.u_stray**2 + edges**2)
+    u = np.sqrt(view.variance + light**2 * relative2 + floor**2 + view.u_stray**2 + edges**2)
     u = np.where(view.flags & Flag.CLIPPED_HIGH, np.maximum(u, np.abs(light)), u)
     flags = view.flags.astype(np.uint16)
     quiet = (view.flags & Flag.MOTION) == 0  # the variance of disagreeing frames is not noise
     flags[in_lens & quiet & (light < np.sqrt(view.variance))] |= np.uint16(Flag.BELOW_NOISE)
-    matrix = np.reshape(p.colour.rgb_to_radiance, (3, 3)) if p.colour.rgb_to_radiance else None
-    rgb = None if matrix is None else _radiance_rgb(view.rgb @ matrix.T, light)
-    attributes = calibration_mark(profile)
-    attributes[U_PERCENT] = _shared_percents(view, np.maximum(light, 0.0) * solid, p)
-    if matrix is not None and p.colour.melanopic_from_rgb:
-        weights = np.array(p.colour.melanopic_from_rgb)
-        attributes[MELANOPIC] = melanopic_text(weights, matrix, p.colour.melanopic_u_rel)
+    attributes, rgb = calibration_mark(profile), None
+    attributes[U_PERCENT] = _shared_percents(view, np.maximum(light, 0.0) * solid_sr, profile)
+    if colour.rgb_to_radiance:
+        matrix = np.reshape(colour.rgb_to_radiance, (3, 3))
+        rgb = _radiance_rgb(view.rgb @ matrix.T, light).reshape(*shape, 3)
+        if colour.melanopic_from_rgb:
+            weights = np.array(colour.melanopic_from_rgb)
+            attributes[MELANOPIC] = melanopic_text(weights, matrix, colour.melanopic_u_rel)
     return Panorama(
         luminance_cdm2=light.reshape(shape).astype(np.float32),
         heading_deg=heading_deg,
         u_cdm2=u.reshape(shape).astype(np.float32),
         flags=flags.reshape(shape),
         t_utc=t_utc,
-        sun=None,
-        rgb=None if rgb is None else rgb.reshape(*shape, 3),
+        rgb=rgb,
         attributes=attributes,
     )
 
 
-def _shared_percents(view: ProjectedImage, weight: Floats, p: CameraProfile) -> str:
-    """Return the attribute `U_PERCENT` of the map; weight [n]: luminance times solid angle."""
+def _shared_percents(view: ProjectedImage, weight: Floats, profile: CameraProfile) -> str:
+    """Return the map's mean uncertainties by cause, in % of the luminance, as "scale=2 colour=1".
+
+    They are those that all pixels have in common. weight [n]: luminance times solid angle.
+    """
 
     def mean(u_rel: Floats) -> float:
         return float((weight * u_rel).sum() / max(weight.sum(), 1e-12))
 
     shared = {
-        "scale": p.scale.u_rel,
-        "colour": p.colour.u_rel,
-        "response": curve_u_rel(p),
+        "scale": profile.scale.u_rel,
+        "colour": profile.colour.u_rel,
+        "response": curve_u_rel(profile),
         "exposures": mean(view.u_ratio),
         "vignetting": mean(view.u_vignetting),
-        VEILING_GLARE: p.glare_floor_rel,
+        VEILING_GLARE: profile.glare_floor_rel,
     }
     return " ".join(f"{name}={100 * u_rel:.4g}" for name, u_rel in shared.items())
 
@@ -467,20 +486,22 @@ def u_of_edges(light: Floats, seen_mask: Mask, target: Target, profile: CameraPr
 
 
 def _second_difference(light: Floats, seen_mask: Mask) -> Floats:
-    """Return the second difference of the luminance along the columns, [H, W]."""
+    """Return the second difference of the luminance along the columns, [H, W].
+
+    A step to or from a pixel that no lens sees counts as zero.
+    """
     step = np.pad(np.diff(light, axis=0) * (seen_mask[1:] & seen_mask[:-1]), ((1, 1), (0, 0)))
     return np.diff(step, axis=0)
 
 
 def _radiance_rgb(colour: Floats, light: Floats) -> Floats32:
-    """Return RGB, scaled for each pixel to give the luminance.
+    """Return radiance RGB [n, 3] in W/sr/m2, scaled for each pixel to give the luminance.
 
-    Radiance computes it as 179 (.265 R + .670 G + .065 B). Pixels whose colour makes this
-    impossible are grey.
+    colour [n, 3]: RGB of Radiance in any unit; light [n]: luminance [cd/m2]. Radiance computes it
+    as 179 (.265 R + .670 G + .065 B). Pixels whose colour makes this impossible are grey.
     """
-    own = np.maximum(colour, 0.0)
-    y = own @ np.asarray(RADIANCE_Y)
-    scale = np.divide(light, y, out=np.zeros_like(y), where=y > 1e-12)
-    grey = np.repeat(light[:, None], 3, axis=1)
-    rgb = np.where((y > 1e-12)[:, None], own * scale[:, None], grey) / RADIANCE_LM_PER_W
+    positive = np.maximum(colour, 0.0)
+    own_y = (positive @ np.asarray(RADIANCE_Y))[:, None]
+    scale = np.divide(light[:, None], own_y, out=np.ones_like(own_y), where=own_y > 1e-12)
+    rgb = np.where(own_y > 1e-12, positive * scale, light[:, None]) / RADIANCE_LM_PER_W
     return rgb.astype(np.float32)

@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.statistics import MAD_TO_SIGMA, robust_sigma
-from fieldlum.merge.estimator import Rows
+from fieldlum.merge.estimator import FramePixels
 from fieldlum.merge.linear_frames import RawSignal, Signal, scaled
 from fieldlum.merge.shots import Shot, exposure_covariance, times_by_law
 from fieldlum.optics.exposure import PairRatio, ShutterLaw, law_of_frames
@@ -68,49 +68,49 @@ def pair_ratio(
     if y_long.size < 50:
         return None
     predicted = y_long * assumed_ratio
-    r = y_short / predicted
+    ratio = y_short / predicted
     weight = 1.0 / (short_variance / predicted**2 + long_variance / y_long**2 + 1e-6)
-    root, centre, before, robust = np.sqrt(weight), np.median(r), np.inf, weight
-    spread = 1.0
+    robust, root, spread, mean = weight, np.sqrt(weight), 1.0, float(np.median(ratio))
     for _ in range(8):
-        pull = np.abs(r - centre) * root
-        spread = max(1.0, MAD_TO_SIGMA * np.median(pull))
-        robust = weight * np.minimum(1.0, _HUBER_SIGMA * spread / np.maximum(pull, 1e-12))
-        before, centre = centre, float((robust * r).sum() / robust.sum())
-        if abs(centre - before) < 1e-7 * centre:  # a millionth of what a frame's ratio can show
+        residual = np.abs(ratio - mean) * root  # in standard deviations
+        spread = max(1.0, MAD_TO_SIGMA * np.median(residual))
+        robust = weight * np.minimum(1.0, _HUBER_SIGMA * spread / np.maximum(residual, 1e-12))
+        before, mean = mean, float((robust * ratio).sum() / robust.sum())
+        if abs(mean - before) < 1e-7 * mean:  # a millionth of what a frame's ratio can show
             break
-    if not centre > 0:
+    if not mean > 0:
         return None
-    u = float(np.hypot(spread / np.sqrt(robust.sum()) / centre, U_FRAME_RATIO))
+    u_log = float(np.hypot(spread / np.sqrt(robust.sum()) / mean, U_FRAME_RATIO))
     long, short = frames
-    log_ratio = float(np.log(centre))
-    return PairRatio(long=long, short=short, log_ratio=log_ratio, u_log=u, pixels=y_long.size)
+    log_ratio = float(np.log(mean))
+    return PairRatio(long=long, short=short, log_ratio=log_ratio, u_log=u_log, pixels=y_long.size)
 
 
 RatioCurve = Callable[[Floats], Floats]
 """Gives the relative standard uncertainty of merged values [...] in cd/m2 due to the exposures."""
 
 
-def take_samples(frames: Sequence[Signal]) -> list[Rows]:
+def take_samples(frames: Sequence[Signal]) -> list[FramePixels]:
     """Return samples of each frame: 60 000 to 250 000 pixels, at the same places in all."""
-    small = [signal.sampled(96, 640) for signal in frames]  # rows (raw: pairs of them), columns
-    return [Rows(signal, signal.strip(0, len(full))[0], full) for signal, full in small]
+    sampled = [signal.sampled(96, 640) for signal in frames]  # rows (raw: pairs of them), columns
+    return [FramePixels(signal, signal.strip(0, len(full))[0], full) for signal, full in sampled]
 
 
-def _mean_cdm2(long: Rows, short: Rows) -> Floats32:
+def _mean_cdm2(long: FramePixels, short: FramePixels) -> Floats32:
     """Return the mean luminance of two frames, weighted by the inverse variance, [...].
 
     Its noise is uncorrelated with that of the frames' ratio. Pixels chosen by the light of the long
     frame alone are those with positive noise there: at dusk frames then differed by 4 %.
     """
     per_long, per_short = long.signal.per_cdm2, short.signal.per_cdm2
-    first = np.maximum((long.counts + short.counts) / (per_long + per_short), 0.0)
-    w_long, w_short = long.signal.weight(first), short.signal.weight(first)
-    total = np.maximum(w_long * per_long + w_short * per_short, 1e-30)
-    return np.maximum((w_long * long.counts + w_short * short.counts) / total, 0.0)
+    unweighted = np.maximum((long.counts + short.counts) / (per_long + per_short), 0.0)
+    weight_long, weight_short = long.signal.weight(unweighted), short.signal.weight(unweighted)
+    information = np.maximum(weight_long * per_long + weight_short * per_short, 1e-30)
+    total = weight_long * long.counts + weight_short * short.counts
+    return np.maximum(total / information, 0.0)
 
 
-def _well_exposed(long: Rows, short: Rows) -> Floats32:
+def _well_exposed(long: FramePixels, short: FramePixels) -> Floats32:
     """Return the n pixels that are well exposed in two frames, in columns, [6, n].
 
     long, short: the same pixels of a longer and of a shorter exposure. Rows: counts in the long and
@@ -130,100 +130,105 @@ def _well_exposed(long: Rows, short: Rows) -> Floats32:
     return np.array((*counts, *variances, per_short / per_long, snr_short[at]), np.float32)
 
 
-def bracket_pairs(samples: Sequence[Rows]) -> list[PairRatio]:
+def bracket_pairs(samples: Sequence[FramePixels]) -> list[PairRatio]:
     """Return the measured exposure ratios of pairs of frames over the assumed ones.
 
     samples: one for each frame, most exposed first, at the same pixels. Frames of a pair are at
     most three apart in that order; pairs with too few pixels that are well exposed in both are
     omitted.
     """
-    found = []
+    pairs = []
     for i, long in enumerate(samples):
         minima = _SNR_SHORT if isinstance(long.signal, RawSignal) else _SNR_SHORT[-1:]
         for j, short in enumerate(samples[i + 1 : i + 4], start=i + 1):
             *values, snr_short = _well_exposed(long, short)
             bright = [snr_short > minimum for minimum in minima]
             at = next((mask for mask in bright if mask.sum() >= _ENOUGH), bright[-1])
-            found.append(pair_ratio(*(v[at].astype(np.float64) for v in values), frames=(i, j)))
-    return [pair for pair in found if pair is not None]
+            pair = pair_ratio(*(v[at].astype(np.float64) for v in values), frames=(i, j))
+            if pair is not None:
+                pairs.append(pair)
+    return pairs
 
 
 def neighbours(pairs: list[PairRatio], correction: Floats) -> list[NeighbourQuality]:
-    """Return the disagreement [%] that neighbouring frames still have after `correction`.
+    """Return by how much neighbouring frames still disagree after `correction`, in %.
 
     pairs: measured exposure ratios; correction: factors on the assumed exposures, [frames]. A
-    disagreement is positive if the less exposed frame is still brighter than expected. Pairs that
-    are no neighbours are omitted.
+    residual is positive if the less exposed frame is still brighter than expected. Pairs of frames
+    that are not neighbours are omitted.
     """
     delta = np.log(correction)
-    off = [float(100 * (p.log_ratio - delta[p.short] + delta[p.long])) for p in pairs]
+    residuals = [float(100 * (p.log_ratio - delta[p.short] + delta[p.long])) for p in pairs]
     return [
         NeighbourQuality(
             p.long, p.short, residual_percent=percent, u_percent=100 * p.u_log, pixels=p.pixels
         )
-        for p, percent in zip(pairs, off, strict=True)
+        for p, percent in zip(pairs, residuals, strict=True)
         if p.short == p.long + 1
     ]
 
 
-def unexplained(disagreements: Sequence[NeighbourQuality], explained: float) -> float:
+def unexplained_by_neighbours(disagreements: Sequence[NeighbourQuality], u_known: float) -> float:
     """Return the relative uncertainty of a frame's exposure that its known causes do not explain.
 
-    disagreements: of neighbouring frames. explained: the known relative uncertainty of one
-    frame. The variance of the disagreement, less that of the measured ratios' noise, is halved for
-    one of the two frames; less the square of `explained`, it is the square of the result. Return 0
-    if nothing remains, or if `disagreements` is empty.
+    disagreements: of neighbouring frames; u_known: relative uncertainty of one frame by its known
+    causes. The variance of the disagreement, less that of the measured ratios' noise, is halved for
+    one of the two frames; less the square of u_known, it is the square of the result. Return 0 if
+    nothing remains, or if `disagreements` is empty.
     """
     if not disagreements:
         return 0.0
-    apart = robust_sigma([n.residual_percent for n in disagreements], 0.0) / 100
+    spread = robust_sigma([n.residual_percent for n in disagreements], 0.0) / 100
     noise = float(np.median([n.u_percent for n in disagreements])) / 100
-    return float(np.sqrt(max((apart**2 - noise**2) / 2 - explained**2, 0.0)))
+    return float(np.sqrt(max((spread**2 - noise**2) / 2 - u_known**2, 0.0)))
 
 
-def unexplained_u(free: RatioFit, explained: float) -> float:
+def unexplained_by_fit(free: RatioFit, u_known: float) -> float:
     """Return the relative uncertainty of exposures that their known causes do not explain.
 
-    free: by the pairs and a weak prior. The uncertainty is the standard deviation of the logarithms
-    of its corrections, reduced by `explained` (the known relative uncertainty) and by the noise of
-    the measured pairs. Return 0 if nothing remains, or without pairs.
+    free: exposures fitted to the pairs with a weak prior. The square of the result is the variance
+    of the logarithms of the corrections, less that of the measured pairs' noise and the square of
+    u_known, the relative uncertainty of a frame by known causes. Return 0 if nothing remains, or
+    without pairs.
     """
     frames = sorted({i for p in free.pairs for i in (p.long, p.short)})
     if not frames:
         return 0.0
-    centred = np.eye(len(frames)) - 1.0 / len(frames)
+    centred = np.eye(len(frames)) - 1.0 / len(frames)  # subtracts the mean: no common level
     noise2 = float(np.mean(np.diag(centred @ free.covariance[np.ix_(frames, frames)] @ centred)))
-    return float(np.sqrt(max(np.var(np.log(free.correction[frames])) - noise2 - explained**2, 0.0)))
+    return float(np.sqrt(max(np.var(np.log(free.correction[frames])) - noise2 - u_known**2, 0.0)))
 
 
-def ratio_curve(samples: Sequence[Rows], covariance: Floats, extra: float = 0.0) -> RatioCurve:
+def ratio_curve(
+    samples: Sequence[FramePixels], covariance: Floats, extra: float = 0.0
+) -> RatioCurve:
     """Return the relative uncertainty of a merged value due to uncertain exposures, by luminance.
 
     samples: one for each frame. The square of the uncertainty is s C s + extra^2, with C the
     `covariance` of the log exposures [frames, frames], s the share (0 to 1) of the weight that each
     frame has in a merged value of that luminance, and `extra` the relative uncertainty that
     disagreement of the frames adds. Between the luminances of the curve it is interpolated, beyond
-    them it is that of the nearest end. Errors of frames are correlated, because
-    pictures contain only ratios of exposures. A single value for the bracket would be too small at
-    luminances that only an uncertain frame can read.
+    them it is that of the nearest end. Errors of frames are correlated, because pictures contain
+    only ratios of exposures. A single value for the bracket would be too small at luminances that
+    only an uncertain frame can read.
     """
-    small = [s.signal.sampled(1, 2)[0] for s in samples]
-    largest = [float(np.max(s.max_cdm2)) for s in small]
-    levels = np.geomspace(1e-6 * min(largest), max(largest), 193)
-    information = []
-    for s in small:
-        cell = s.strip(0, 1)[0].shape[1:]
-        at = np.broadcast_to(levels[:, None, None], (len(levels), *cell))
-        w = s.weight(at.astype(np.float32))
-        information.append((w * s.per_cdm2).astype(np.float64).sum(axis=(1, 2)))
+    # a few pixels of each frame suffice, because all of one colour have the same weight
+    cells = [sample.signal.sampled(1, 2)[0] for sample in samples]
+    largest_cdm2 = [float(np.max(cell.max_cdm2)) for cell in cells]
+    levels_cdm2 = np.geomspace(1e-6 * min(largest_cdm2), max(largest_cdm2), 193)
+    information = []  # of each frame, [levels]
+    for cell in cells:
+        shape = (len(levels_cdm2), *cell.strip(0, 1)[0].shape[1:])
+        weight = cell.weight(np.broadcast_to(levels_cdm2[:, None, None], shape).astype(np.float32))
+        information.append((weight * cell.per_cdm2).astype(np.float64).sum(axis=(1, 2)))
     total = np.sum(information, axis=0)
     populated = total > 0
     if not populated.any():
         largest = np.diag(covariance).max(keepdims=True)
         return partial(np.interp, xp=np.ones(1), fp=np.sqrt(largest + extra**2))
-    share = np.stack(information, axis=1)[populated] / total[populated, None]
+    share = np.stack(information, axis=1)[populated] / total[populated, None]  # [levels, frames]
     variance = np.einsum("li,ij,lj->l", share, covariance, share)
-    return partial(np.interp, xp=levels[populated], fp=np.sqrt(variance + extra**2))
+    return partial(np.interp, xp=levels_cdm2[populated], fp=np.sqrt(variance + extra**2))
 
 
 def fit_ratios(pairs: list[PairRatio], prior_covariance: Floats) -> RatioFit:
@@ -249,24 +254,28 @@ def fit_ratios(pairs: list[PairRatio], prior_covariance: Floats) -> RatioFit:
     for _ in range(10):
         normal = design.T @ (weight[:, None] * design) + prior
         delta = np.linalg.solve(normal, design.T @ (weight * observed))
-        pull = np.abs(observed - design @ delta) / sigma if pairs else np.zeros(0)
-        huber = np.minimum(1.0, _HUBER_SIGMA / np.maximum(pull, 1e-12))
+        residual = np.abs(observed - design @ delta) / sigma
+        huber = np.minimum(1.0, _HUBER_SIGMA / np.maximum(residual, 1e-12))
         weight = 1.0 / sigma**2 * huber
     # The noise of a short frame is in all pairs with that frame, so these pairs together count as
     # one.
     shared = np.array([sum(q.short == p.short for q in pairs) for p in pairs])
-    information = design.T @ ((weight / shared)[:, None] * design) if pairs else 0.0
+    information = design.T @ ((weight / shared)[:, None] * design)
     wider = prior_covariance + np.eye(frames) * _surplus(delta, prior, prior_covariance, design)
     covariance = np.asarray(np.linalg.inv(information + np.linalg.inv(wider)), np.float64)
     return RatioFit(np.exp(delta), covariance, tuple(pairs))
 
 
 def _surplus(delta: Floats, prior: Floats, prior_covariance: Floats, design: Floats) -> float:
-    """Return the variance to add to each prior: the smallest prior variance times (chi2 - 1)."""
-    freedom = np.linalg.matrix_rank(design) if len(design) else 0
-    if not freedom:
+    """Return the variance to add to each prior, because the corrections contradict the priors.
+
+    It is the smallest prior variance times (chi2 - 1), with chi2 of the corrections over their
+    degrees of freedom; 0 if the priors explain the corrections. delta [frames]: ln of the
+    corrections; prior [frames, frames]: inverse of prior_covariance; design [pairs, frames].
+    """
+    if not len(design):
         return 0.0
-    birge2 = float(delta @ prior @ delta) / freedom
+    birge2 = float(delta @ prior @ delta) / np.linalg.matrix_rank(design)
     return max(birge2 - 1.0, 0.0) * float(np.diag(prior_covariance).min())
 
 
@@ -306,14 +315,14 @@ def any_beyond_prior(log_deviation: Floats, u_prior: Floats) -> bool:
 
 def exposures_of(
     frames: list[Signal], shots: Sequence[Shot], profile: CameraProfile, law: ShutterLaw, fits: bool
-) -> tuple[list[Signal], Exposures, list[Rows]]:
+) -> tuple[list[Signal], Exposures, list[FramePixels]]:
     """Return frames with corrected exposures, the exposures, and samples without the corrections.
 
-    law: that with which the frames were read. One that is derived from nominal times is tested with
-    the frames' ratios first. If `fits` is False, no exposure is corrected. Disagreement of frames
-    beyond the uncertainties of shutter and response increases the uncertainty: the light changed,
-    or the profile is wrong. Exposures that are not fitted are compared with a fit that serves only
-    this purpose. shots: of the frames, most exposed first.
+    frames, shots: most exposed first. law: the shutter law with which the frames were read; a law
+    derived from nominal times is tested with the frames' ratios first. fits: whether exposures are
+    corrected by a fit; if not, they are only compared with one. Frames that disagree by more than
+    the uncertainties of shutter and response increase the uncertainty, because the light changed or
+    the profile is wrong.
     """
     samples = take_samples(frames)
     pairs = bracket_pairs(samples)
@@ -331,14 +340,15 @@ def exposures_of(
     u_response = 0.0 if profile.camera.kind == "raw" else profile.response.u_rel
     if fits:
         compared, disagreement = fit, u_typical
-        u_extra = unexplained(residuals, u_response)
+        u_extra = unexplained_by_neighbours(residuals, u_response)
     else:
         # Differences of 2 % between neighbours can add up over a bracket: a weak prior of 30 %.
         compared = fit_ratios(pairs, np.eye(len(prior)) * 0.3**2)
-        u_explained = float(np.hypot(u_response, u_typical))
+        u_known = float(np.hypot(u_response, u_typical))
         percents = [abs(n.residual_percent) for n in residuals]
         disagreement = float(np.median(percents)) / 100 if percents else u_typical
-        u_extra = max(unexplained(residuals, u_explained), unexplained_u(compared, u_explained))
+        of_neighbours = unexplained_by_neighbours(residuals, u_known)
+        u_extra = max(of_neighbours, unexplained_by_fit(compared, u_known))
     exposures = Exposures(
         law=law,
         fit=fit,

@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import Flag
 from fieldlum.core.statistics import robust_sigma
-from fieldlum.merge.estimator import Merged, Rows, merge_signals
+from fieldlum.merge.estimator import FramePixels, Merged, merge_signals
 from fieldlum.merge.linear_frames import Crop, RawSignal, Saturation, Signal, lens_crop, read_frames
 from fieldlum.merge.ratios import Exposures, RatioCurve, bracket_pairs, exposures_of, take_samples
 from fieldlum.merge.shift import shifts
@@ -31,33 +31,39 @@ from fieldlum.session.files.sidecar import ShiftQuality
 # transfer; Janesick, SPIE 2007). The fit is robust against motion.
 
 
-NO_NOISE = (1.0, 1.0)  # factors on variances of shot and read noise
+NOISE_OF_PROFILE = (1.0, 1.0)  # factors on the variances of its shot and read noise
 
 
 def _with_noise(signal: Signal, noise: tuple[float, float]) -> Signal:
+    """Return a raw frame with the noise of the profile changed; a JPEG frame unchanged.
+
+    noise: factors on the variances of shot and read noise. A gain in electrons per count that is
+    lower by a factor makes the variance of shot noise higher by that factor.
+    """
     if not isinstance(signal, RawSignal):
         return signal
-    gain, read_dn2 = signal.gain_e_per_dn / noise[0], signal.noise_dn2 * noise[1]
+    shot_factor, read_factor = noise
+    gain, read_dn2 = signal.gain_e_per_dn / shot_factor, signal.noise_dn2 * read_factor
     return replace(signal, gain_e_per_dn=gain, noise_dn2=read_dn2)
 
 
-def seen_noise(samples: Sequence[Rows], correction: Floats) -> tuple[float, float]:
-    """Return factors on the variances of the profile's shot and read noise, from raw frames.
+def seen_noise(samples: Sequence[FramePixels], correction: Floats) -> tuple[float, float]:
+    """Return measured over stated variance of shot noise and of read noise, of raw frames.
 
     samples: one for each frame, most exposed first; correction: fitted over assumed exposure,
-    [frames]. Both factors are 1 for JPEG frames, and if too few pixels can be compared. A factor
-    counts if it is over 1.44, 1.2 on the noise, and exceeds 1 by three standard errors, because
-    read noise is uncertain where shot noise dominates.
+    [frames]. The profile states the variances. A factor is 1 unless it is over 1.44 (1.2 on the
+    noise) and exceeds 1 by three standard errors, because read noise is uncertain where shot noise
+    dominates. Both are 1 for JPEG frames, and if too few pixels can be compared.
     """
     ratios = correction[1:] / correction[:-1]
-    rows = [
-        row
+    steps = [
+        step
         for (long, short), ratio in zip(pairwise(samples), ratios, strict=True)
-        for row in _steps(long, short, float(ratio))
+        for step in _steps(long, short, float(ratio))
     ]
-    if len(rows) < 4:
-        return NO_NOISE
-    shot, read, measured = np.array(rows).T
+    if len(steps) < 4:
+        return NOISE_OF_PROFILE
+    shot, read, measured = np.array(steps).T  # variances [steps] each
     # divide by the measured variance, so that all steps have equal weight
     table = np.stack([shot / measured, read / measured], axis=1)
     factors = nnls(table, np.ones(len(table)))[0]  # of shot and read noise, not negative
@@ -68,13 +74,15 @@ def seen_noise(samples: Sequence[Rows], correction: Floats) -> tuple[float, floa
     return shot_factor, read_factor
 
 
-def _steps(long: Rows, short: Rows, correction: float) -> list[tuple[float, float, float]]:
-    """Return variances of the difference of two frames [DN2], one row for each step of the signal.
+def _steps(
+    long: FramePixels, short: FramePixels, correction: float
+) -> list[tuple[float, float, float]]:
+    """Return variances [DN^2] of the difference of two frames, one row for each step of brightness.
 
     long, short: the same pixels of two raw frames; correction: fitted over nominal exposure ratio.
     The list is empty for JPEG frames. A row has the shot variance and the read variance by the
-    profile, and the measured variance. The signal has at most twelve steps of at least 200 pixels
-    each.
+    profile, and the measured variance. The pixels, sorted by brightness, are divided into at most
+    twelve steps of at least 200 pixels each.
     """
     of_long, of_short = long.signal, short.signal
     if not (isinstance(of_long, RawSignal) and isinstance(of_short, RawSignal)):
@@ -90,11 +98,12 @@ def _steps(long: Rows, short: Rows, correction: float) -> list[tuple[float, floa
     # Where noise is about one count, a median of integers would jump between counts: spread the
     # counts evenly over their width first, which adds the variance of a uniform distribution.
     rounded_dn2 = 1 / 12
-    off = y_short - ratio * y_long + np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
+    spread = np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
+    difference = y_short - ratio * y_long + spread
     steps = np.array_split(np.argsort(y_long), int(np.clip(len(at) // 200, 1, 12)))
 
     def variances(step: Indices) -> tuple[float, float, float]:
-        measured = max(robust_sigma(off[step]) ** 2 - rounded_dn2, rounded_dn2)
+        measured = max(robust_sigma(difference[step]) ** 2 - rounded_dn2, rounded_dn2)
         return float(np.median(shot[step])), float(np.median(read[step])), measured
 
     return [variances(step) for step in steps if len(step) >= 200]
@@ -107,13 +116,14 @@ def _steps(long: Rows, short: Rows, correction: float) -> list[tuple[float, floa
 def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) -> Mask | None:
     """Return a mask [height, width] of the crop that is False at pixels to ignore.
 
-    These are the profile's bad pixels and, for a raw camera, the pixels of `odd_pixels`. Return
+    These are the profile's bad pixels and, for a raw camera, those of `isolated_pixels`. Return
     None if every pixel is good. flags: of the merged pixels of the crop, in the frames' shape.
     """
+    # [n, 2]: row and column in the crop; a profile states column and row
     bad = np.array(profile.sensor.bad_px, np.intp).reshape(-1, 2)[:, ::-1] - (crop.top, crop.left)
     bad = bad[((bad >= 0) & (bad < (crop.height, crop.width))).all(axis=1)]
     if profile.camera.kind == "raw":
-        bad = np.concatenate((bad, odd_pixels(flags.reshape(crop.height, crop.width))))
+        bad = np.concatenate((bad, isolated_pixels(flags.reshape(crop.height, crop.width))))
     if not len(bad):
         return None
     good = np.ones((crop.height, crop.width), bool)
@@ -121,8 +131,8 @@ def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) ->
     return good
 
 
-def odd_pixels(flags: NDArray[np.uint8]) -> Indices:
-    """Return row and column [n, 2] of mosaic pixels at which alone the frames disagree.
+def isolated_pixels(flags: NDArray[np.uint8]) -> Indices:
+    """Return row and column [n, 2] of mosaic pixels at which the frames disagree in isolation.
 
     flags: [h, w] of the mosaic. At such a pixel the frames disagree (it has the flag MOTION), but
     at all eight neighbours of the same colour they agree. This happens at stuck pixels and through
@@ -194,12 +204,11 @@ class Findings:
 def merge_sensor(
     shots: Sequence[Shot], profile: CameraProfile, *, fit: bool | None = None, turn_deg: float = 0.0
 ) -> tuple[SensorImage, Findings]:
-    """Merge the frames of one heading.
+    """Merge the frames of one heading; return the merged pixels, and what the frames showed.
 
     shots: sorted by exposure, longest first. fit: whether exposure ratios are estimated from the
     frames; None: for raw frames only. turn_deg: heading of the camera minus that of the resulting
-    picture, clockwise. Return the merged pixels, and what the frames showed. Raises InputError for
-    a frame that cannot be read or is of another camera.
+    picture, clockwise. Raises InputError for a frame that cannot be read or is of another camera.
     """
     crop, is_raw = lens_crop(profile), profile.camera.kind == "raw"
     shots, absent = _without_absent_filters(shots, profile, crop)
@@ -207,10 +216,12 @@ def merge_sensor(
     read_with = replace(profile, shutter_law=law.law)
     frames, saturation = read_frames(shots, read_with, crop)
     lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]
-    turns = shifts([f.small() for f in frames], lenses, [s.path.name for s in shots])
+    turns = shifts(
+        [frame.reduced_frame() for frame in frames], lenses, [s.path.name for s in shots]
+    )
     fits = is_raw if fit is None else fit
     frames, exposures, samples = exposures_of(frames, shots, profile, law, fits)
-    noise = seen_noise(samples, exposures.fit.correction) if fits else NO_NOISE
+    noise = seen_noise(samples, exposures.fit.correction) if fits else NOISE_OF_PROFILE
     frames = [_with_noise(signal, noise) for signal in frames]
     shape = (crop.height // 2, 2, crop.width) if is_raw else (crop.height, crop.width, 3)
     merged = merge_signals(frames, shape, u_ratio=exposures.tolerance)
@@ -224,22 +235,22 @@ def _without_absent_filters(
 ) -> tuple[Sequence[Shot], tuple[str, ...]]:
     """Return the frames in order of exposure, and the names of those taken without their filter.
 
-    Each frame with a filter in its label is compared with the frame without one whose exposure is
-    nearest. Beyond the middle between the light with and without the filter, on a logarithmic
-    scale, the filter was absent: the frame then counts as one without it. shots: of one heading;
-    crop: the part of the sensor that is read.
+    Each frame with a filter in its label is compared with the frame without a filter whose shutter
+    time is nearest. If it is brighter than the middle between the light with and without the
+    filter, on a logarithmic scale, the filter was absent, and the frame is returned without it.
+    shots: of one heading; crop: the part of the sensor that is read.
     """
     bare = [shot for shot in shots if not shot.exposure.nd]
-    right, absent = list(shots), []
+    corrected, absent = list(shots), []
     for number, shot in enumerate(shots):
-        asked = shot.exposure
-        if not asked.nd or not bare:
+        stated = shot.exposure
+        if not stated.nd or not bare:
             continue
-        like = min(bare, key=lambda s: abs(np.log(s.exposure.shutter_s / asked.shutter_s)))
-        pair = [like, replace(shot, exposure=replace(asked, nd=""))]
+        nearest = min(bare, key=lambda s: abs(np.log(s.exposure.shutter_s / stated.shutter_s)))
+        pair = [nearest, replace(shot, exposure=replace(stated, nd=""))]
         ratios = bracket_pairs(take_samples(read_frames(pair, profile, crop)[0]))
-        factor = float(np.mean(nd_factors(asked.nd, profile)))
+        factor = float(np.mean(nd_factors(stated.nd, profile)))
         if ratios and ratios[0].log_ratio > -0.5 * np.log(factor):
-            right[number] = pair[1]
+            corrected[number] = pair[1]
             absent.append(shot.path.name)
-    return (sorted_shots(right, profile), tuple(sorted(absent))) if absent else (shots, ())
+    return (sorted_shots(corrected, profile), tuple(sorted(absent))) if absent else (shots, ())

@@ -21,7 +21,7 @@ from fieldlum.optics.projection import LensGeometry, lens_rays, radius_of_angle,
 from fieldlum.optics.turn_fit import fit_turn
 from fieldlum.session.files.sidecar import ShiftQuality
 
-_WINDOW_PX = 11  # side of the surroundings of a point
+_WINDOW_PX = 11  # side of the surroundings of a point, in pixels of a reduced frame
 _MAX_POINTS, _MIN_POINTS = 400, 20
 _BLOCKS = 6  # parts of the picture per side whose errors are independent
 
@@ -30,8 +30,9 @@ _BLOCKS = 6  # parts of the picture per side whose errors are independent
 class ReducedFrame:
     """A frame at a reduced size.
 
-    log_light [h, w]: natural logarithm of the light, in any unit; seen [h, w]: True for pixels that
-    are neither clipped nor dark; step: sensor pixels per reduced pixel, along each side.
+    log_light [h, w]: natural logarithm of the light, in any unit, 0 where not seen; seen [h, w]:
+    True for pixels that are neither clipped nor dark; step: sensor pixels per reduced pixel, along
+    each side.
     """
 
     log_light: Floats32
@@ -40,7 +41,7 @@ class ReducedFrame:
 
 
 def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) -> ReducedFrame:
-    """Return a frame at a reduced size: its means over blocks, with at most 800 blocks on a side.
+    """Return a frame at a reduced size: its means over blocks of pixels, at most 800 on a side.
 
     signal: [h, w], linear in light with black at 0, in any unit; seen_mask: mask [h, w], False for
     pixels to ignore. A block counts as seen if all its pixels are seen and its mean is above
@@ -64,36 +65,37 @@ def shifts(
     """Return the turns of the camera between neighbouring frames of a bracket.
 
     frames: most exposed first; lenses: with centres in sensor pixels of the frames; names: of the
-    frames. shift_px of a turn is its angle about any axis by the pixels per radian at the first
-    lens's axis. A pair of frames without enough common points is omitted.
+    frames' files. A turn's shift_px is its angle times the pixels per radian at the axis of the
+    first lens; sure_px is that shift less three standard errors. A pair of frames without enough
+    common points is omitted.
     """
     lens, tiny_rad, turns = lenses[0], 1e-4, []
     px_per_rad = float(lens.radius_px * radius_of_angle(lens, tiny_rad) / tiny_rad)
     for k, (long, short) in enumerate(pairwise(frames)):
-        turn = _turn(long, short, lenses)
-        if turn is not None:
-            angle, u = turn
-            px, u_px = angle * px_per_rad, u * px_per_rad
-            turns.append(
-                ShiftQuality(
-                    long=names[k],
-                    short=names[k + 1],
-                    turn_deg=round(float(np.degrees(angle)), 3),
-                    shift_px=round(px, 3),
-                    u_px=round(u_px, 3),
-                    sure_px=round(max(px - 3.0 * u_px, 0.0), 3),
-                )
+        if (turn := _turn(long, short, lenses)) is None:
+            continue
+        angle_rad, u_rad = turn
+        shift_px, u_px = angle_rad * px_per_rad, u_rad * px_per_rad
+        turns.append(
+            ShiftQuality(
+                long=names[k],
+                short=names[k + 1],
+                turn_deg=round(float(np.degrees(angle_rad)), 3),
+                shift_px=round(shift_px, 3),
+                u_px=round(u_px, 3),
+                sure_px=round(max(shift_px - 3.0 * u_px, 0.0), 3),
             )
+        )
     return turns
 
 
 def _turn(
     long: ReducedFrame, short: ReducedFrame, lenses: Sequence[LensGeometry]
 ) -> tuple[float, float] | None:
-    """Return the turn between two frames [rad] and its standard error; None for too few points.
+    """Return the angle between two frames and its standard error [rad]; None for too few points.
 
-    lenses: geometry of each lens on the sensor. The points are grouped by blocks of the picture:
-    only blocks count as independent.
+    lenses: geometry of each lens on the sensor. The points are grouped by blocks of the picture,
+    because errors of neighbouring points are not independent.
     """
     from scipy.spatial.transform import Rotation
 
@@ -115,22 +117,26 @@ def _turn(
         return None
     turn, covariance = Rotation.identity(), np.eye(3)
     for _ in range(3):  # a fit is linear in the turn
-        moved = turn.apply(long_rays)
-        design = np.asarray(np.cross(np.eye(3), moved[:, None]), np.float64)
-        design = design.swapaxes(1, 2).reshape(-1, 3)
-        fit = fit_turn(design, (short_rays - moved).ravel(), np.repeat(block, 3))
+        turned = turn.apply(long_rays)  # [points, 3]
+        # change of each vector by a small turn about each axis, [points, axes, 3]
+        change = np.asarray(np.cross(np.eye(3), turned[:, None]), np.float64)
+        design = change.swapaxes(1, 2).reshape(-1, 3)
+        fit = fit_turn(design, (short_rays - turned).ravel(), np.repeat(block, 3))
         if fit is None:
             return None
-        turn, covariance = Rotation.from_rotvec(fit[0]) * turn, fit[1] * parts / (parts - 3)
-    angle = turn.magnitude()
-    along = turn.as_rotvec() / max(angle, 1e-12)
-    return float(angle), float(np.sqrt(max(along @ covariance @ along, 1e-16)))
+        rotation_vector, fit_covariance = fit
+        turn = Rotation.from_rotvec(rotation_vector) * turn
+        covariance = fit_covariance * parts / (parts - 3)
+    angle_rad = turn.magnitude()
+    axis = turn.as_rotvec() / max(angle_rad, 1e-12)
+    return float(angle_rad), float(np.sqrt(max(axis @ covariance @ axis, 1e-16)))
 
 
 def _tracked(long: ReducedFrame, short: ReducedFrame) -> tuple[Floats, Floats]:
-    """Return sensor coordinates x, y of points in two frames, [points, 2] px each.
+    """Return where the same points of the scene are in two frames: sensor x, y [points, 2] px each.
 
-    A point counts if tracking it to the second frame and back ends where it began.
+    A point counts if tracking it to the second frame and back ends where it began, within 0.3
+    pixels of the reduced frame.
     """
     seen = long.seen & short.seen
     window_px = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
@@ -149,9 +155,12 @@ def _tracked(long: ReducedFrame, short: ReducedFrame) -> tuple[Floats, Floats]:
     return in_long.astype(np.float64), in_short.astype(np.float64)
 
 
-def _grey(small: ReducedFrame, common: Mask) -> Array:
-    """Return a frame as 8-bit levels of ln light; 128 for the median, and outside of `common`."""
-    middle = np.median(small.log_light[common]) if common.any() else 0.0
+def _grey(frame: ReducedFrame, common: Mask) -> Array:
+    """Return a frame as 8-bit levels of ln light [h, w]; 128 is the median of what `common` marks.
+
+    common [h, w]: pixels that are seen in both frames; others get 128.
+    """
+    middle = np.median(frame.log_light[common]) if common.any() else 0.0
     # 40 levels for a factor of e: one of the 256 is 2.5 % of light, and the range is 9 EV.
-    levels = np.where(common, 40.0 * (small.log_light - middle), 0.0)
+    levels = np.where(common, 40.0 * (frame.log_light - middle), 0.0)
     return np.clip(np.rint(levels) + 128, 0, 255).astype(np.uint8)

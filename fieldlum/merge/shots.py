@@ -1,4 +1,4 @@
-"""Decide which frames belong to a bracket, and which exposure each frame really had."""
+"""Read which frames belong to a bracket, and the prior uncertainty of their exposures."""
 
 import filecmp
 from collections.abc import Iterator, Sequence
@@ -19,9 +19,9 @@ from fieldlum.session import sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.safe_paths import refuse_link
 
-U_REPEAT = 2e-4  # relative u of a shutter time from frame to frame; not measured
-# Relative u for an ISO other than the profile's, because gains of amplifiers are not exact. Not
-# measured.
+# Relative standard uncertainties, not measured: of a shutter time from frame to frame; of the gain
+# at an ISO other than the profile's, because gains of amplifiers are not exact.
+U_REPEAT = 2e-4
 U_ISO = 0.03
 
 
@@ -51,8 +51,8 @@ def shots_of_slot(folder: Path) -> list[Shot]:
 
     They are the frames that its capture.json lists, whether their files exist or not. If that file
     is missing or lists no frames, they are all frames in the folder, described by their EXIF.
-    Raises InputError for an invalid capture.json, and in the second case for a folder without
-    frames or a frame whose EXIF has no exposure.
+    Raises InputError for an invalid capture.json and for a frame that is a link to another folder;
+    without a list also for a folder without frames or a frame whose EXIF has no exposure.
     """
     capture = CaptureFile.find(folder / "capture.json")
     frames = () if capture is None else capture.frames
@@ -66,20 +66,21 @@ def shots_of_slot(folder: Path) -> list[Shot]:
 def verified(shots: Sequence[Shot]) -> list[Shot]:
     """Return the frames with the SHA-256 that their files have now.
 
-    A frame is read once for it; the merge, which follows, finds it in memory. Raises InputError,
-    which names them all, for frames whose content is not the recorded one.
+    Each file is read completely for it; the merge that follows then finds it in the system's cache.
+    Raises InputError, which names all such frames, if a content is not the recorded one.
     """
-    now = []
+    current = []
     for shot in shots:
         remedy = "permit that you read it, or copy it from the card again"
         with input_errors(shot.path, "a readable frame", remedy, PermissionError):
-            now.append(replace(shot, sha256=sha256(shot.path)))
-    changed = [b.path for a, b in zip(shots, now, strict=True) if a.sha256 not in ("", b.sha256)]
+            current.append(replace(shot, sha256=sha256(shot.path)))
+    pairs = zip(shots, current, strict=True)
+    changed = [now.path for before, now in pairs if before.sha256 not in ("", now.sha256)]
     if changed:
         finding = f"{', '.join(path.name for path in changed)} changed after capture or import"
         remedy = "copy them from the card again, or remove them from capture.json"
         raise InputError(changed[0], finding, "the sha256 in capture.json", remedy)
-    return now
+    return current
 
 
 def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Shot]:
@@ -112,18 +113,22 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     for path, finding, expected, remedy in _problems(shots, profile):
         raise InputError(path, finding, expected, remedy)
 
-    def collected(shot: Shot) -> float:
-        e = shot.exposure
-        factor = float(np.mean(nd_factors(e.nd, profile)))
-        return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / factor
+    def order(shot: Shot) -> tuple[float, float, str]:
+        exposure = shot.exposure
+        factor = float(np.mean(nd_factors(exposure.nd, profile)))
+        collected = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso) / factor
+        return shot.heading_deg or 0.0, -collected, shot.path.name
 
-    return sorted(shots, key=lambda s: (s.heading_deg or 0.0, -collected(s), s.path.name))
+    return sorted(shots, key=order)
 
 
 def _problems(
     shots: Sequence[Shot], profile: CameraProfile
 ) -> Iterator[tuple[Path, str, str, str]]:
-    """Yield file, finding, expectation and remedy of each frame that cannot be in the bracket."""
+    """Yield file, finding, expectation and remedy of each frame that cannot be in the bracket.
+
+    The reasons are those of `sorted_shots`, except for filters.
+    """
     kind, apertures = profile.camera.kind, profile.scale.f_numbers
     first = shots[0].exposure.f_number
     for shot in shots:
@@ -155,7 +160,7 @@ def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, Flo
 
 
 def exposure_covariance(exposures: Sequence[Exposure], profile: CameraProfile) -> Floats:
-    """Return the covariance of the frames' log exposures before any fit, [frames, frames].
+    """Return the covariance of the natural log exposures before any fit, [frames, frames].
 
     Frames with the same shutter time have the same error of time. Frames with the same filter share
     an error too, and so do frames of one ISO other than the profile's. Each frame also has its own
@@ -165,10 +170,10 @@ def exposure_covariance(exposures: Sequence[Exposure], profile: CameraProfile) -
     u_of_nd = {nd.name: nd.u_rel for nd in profile.nd}
     u_nd = [u_of_nd.get(e.nd, 0.0) for e in exposures]
     u_iso = [0.0 if abs(e.iso / profile.bracket.iso - 1) < 0.01 else U_ISO for e in exposures]
-    kinds = (
+    settings = (
         ([e.shutter_s for e in exposures], u_time),
         ([e.nd for e in exposures], u_nd),
         ([e.iso for e in exposures], u_iso),
     )
-    shared = [np.equal.outer(np.array(k), np.array(k)) * np.outer(u, u) for k, u in kinds]
-    return np.sum(shared, axis=0) + np.diag(np.full(len(exposures), U_REPEAT**2))
+    shared = [np.equal.outer(setting, setting) * np.outer(u, u) for setting, u in settings]
+    return np.sum(shared, axis=0) + np.eye(len(exposures)) * U_REPEAT**2

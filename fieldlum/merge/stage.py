@@ -17,15 +17,7 @@ from fieldlum.core import scheduler as work
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.core.false_colour import RANGE_CDM2, coloured, png_of
 from fieldlum.core.files import check_writable, remove_scraps, replacing_path, sha256, write_file
-from fieldlum.core.records import (
-    CLIPPED_SUN,
-    JsonTable,
-    Site,
-    SunSource,
-    counted,
-    parse_utc,
-    utc_text,
-)
+from fieldlum.core.records import CLIPPED_SUN, JsonTable, Site, counted, parse_utc, utc_text
 from fieldlum.merge.bracket import MergeOptions, MergeResult, merge_shots
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
 from fieldlum.merge.sun_and_sky import disc_px, expected_sun_deg, mosaic_u_rel
@@ -59,7 +51,10 @@ class Verdict:
     report: MergeReport | None = None
 
     def table(self) -> JsonTable:
-        """Return keys slot, state, text, quality: `MergeReport.table`, {} if the merge failed."""
+        """Return the verdict with keys slot, state, text and quality, the report's figures.
+
+        quality is {} if the merge failed.
+        """
         quality = to_json(self.report) if self.report else {}
         return {"slot": self.slot, "state": self.state, "text": self.text, "quality": quality}
 
@@ -81,12 +76,13 @@ class _MergeJob:
 
 
 def _recipe(job: _MergeJob, shots: list[Shot], t_utc: datetime, complete: bool) -> JsonTable:
-    """Return everything that a panorama depends on; equal recipes give equal pictures.
+    """Return everything that a panorama depends on, for its sidecar; equal recipes, equal pictures.
 
     shots: the bracket's frames; t_utc: its time; complete: whether it has all planned frames.
+    `digest` of the result is a hash of all other keys.
     """
-    names = ("sha256", "heading_deg", "exposure")
-    frames = [{"file": s.path.name} | {n: to_json(getattr(s, n)) for n in names} for s in shots]
+    keys = ("sha256", "heading_deg", "exposure")
+    frames = [{"file": s.path.name} | {k: to_json(getattr(s, k)) for k in keys} for s in shots]
     inputs = {
         "recipe": _RECIPE,
         "frames": frames,
@@ -102,9 +98,10 @@ def _recipe(job: _MergeJob, shots: list[Shot], t_utc: datetime, complete: bool) 
 
 
 def _untouched(shots: list[Shot], sidecar: Path) -> bool:
-    """Return whether all frames have a recorded sha256 and no file is newer than the sidecar.
+    """Return whether no frame changed since the merge that wrote the sidecar, by the files' times.
 
-    The merge compared them then, so that the recorded sha256 can be used without reading the files.
+    All frames must have a recorded sha256, with which that merge compared the files. This spares
+    reading all frames of a session again.
     """
     if not sidecar.is_file() or not all(shot.sha256 for shot in shots):
         return False
@@ -112,9 +109,9 @@ def _untouched(shots: list[Shot], sidecar: Path) -> bool:
 
 
 def _merged_before(session: Session, slot: str, recipe: JsonTable) -> Sidecar | None:
-    """Return the sidecar of a panorama that was merged with the same recipe.
+    """Return the sidecar of the slot's panorama if that was merged with the same recipe, else None.
 
-    None if there is none yet.
+    None too if the panorama or its sidecar is damaged.
     """
     path, picture = session.sidecar(slot), session.panorama(slot)
     table = current_note(path, recipe, [picture])
@@ -201,7 +198,7 @@ def _with_session_facts(
     if lost:
         why = "because the pixels cannot be read: copy these frames from the card again"
         text = f"merged without {', '.join(lost)}, {why}; {text}"
-    return replace(result, report=report, verdict=text + _sun_note(panorama.sun, profile))
+    return replace(result, report=report, verdict=text + _sun_note(result, profile))
 
 
 def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTable) -> None:
@@ -214,14 +211,14 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
         sky.unlink(missing_ok=True)  # of an earlier merge
     else:
         write_sky_picture(sky, result.sky)
-    p, sun = job.profile, result.panorama.sun
+    profile, sun = job.profile, result.panorama.sun
     sidecar_sun = None
     if sun is not None:
         sidecar_sun = SidecarSun(
             altitude_deg=sun.altitude_deg,
             azimuth_deg=sun.azimuth_deg,
             normal_illuminance_lx=sun.normal_illuminance_lx,
-            u_mosaic_percent=round(100 * _sun_u_rel(p), 2),
+            u_mosaic_percent=round(100 * _sun_u_rel(profile), 2),
             origin=sun.origin,
             lower_bound=sun.origin == CLIPPED_SUN,
             measured=result.sun,
@@ -233,15 +230,15 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
         report=result.report,
         sun=sidecar_sun,
         factors={
-            "k": p.scale.k,
-            "y_from_rgb": p.colour.y_from_rgb,
+            "k": profile.scale.k,
+            "y_from_rgb": profile.colour.y_from_rgb,
             "u_percent": {
-                "k": 100 * p.scale.u_rel,
-                "colour": 100 * p.colour.u_rel,
-                "glare_floor": 100 * p.glare_floor_rel,
+                "k": 100 * profile.scale.u_rel,
+                "colour": 100 * profile.colour.u_rel,
+                "glare_floor": 100 * profile.glare_floor_rel,
             },
         },
-        profile={"name": p.camera.name, "sha256": job.profile_sha256},
+        profile={"name": profile.camera.name, "sha256": job.profile_sha256},
         inputs=recipe,
         sha256=sha256(picture),
         software={"fieldlum": __version__},
@@ -249,12 +246,16 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
 
 
 def _sun_u_rel(profile: CameraProfile) -> float:
+    """Return the relative u of the sun's illuminance due to the mosaic, 0 for a JPEG camera."""
     return mosaic_u_rel(disc_px(profile.lens)) if profile.camera.kind == "raw" else 0.0
 
 
-def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
-    """Return a note for the verdict if few pixels under the disc make u 2 % at least; else ""."""
-    u_rel = _sun_u_rel(profile)
+def _sun_note(result: MergeResult, profile: CameraProfile) -> str:
+    """Return a note for the verdict if the sun disc's illuminance has an u of 2 % or more; else "".
+
+    The cause is a disc that covers few sensor pixels. "" too for a sun that all frames clipped.
+    """
+    u_rel, sun = _sun_u_rel(profile), result.panorama.sun
     if sun is None or sun.origin == CLIPPED_SUN or u_rel < 0.02:
         return ""
     return (
@@ -270,12 +271,12 @@ def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
 def _units(
     session: Session, slots: Sequence[str], options: MergeOptions, force: bool
 ) -> list[work.WorkUnit]:
-    """Return the merges as units of work; each compares the sha256 of its frames itself."""
+    """Return the merge of each slot as a unit of work for a scheduler."""
     setup, units = session.site_file(), []
     path = find_camera_profile(setup.camera.profile)
-    about = (load_camera_profile(path), sha256(path), setup.camera.heading_deg, setup.site)
+    of_camera = (load_camera_profile(path), sha256(path), setup.camera.heading_deg, setup.site)
     for slot in slots:
-        job = _MergeJob(slot, *about, options, force)
+        job = _MergeJob(slot, *of_camera, options, force)
         note = session.capture_file(slot)
         files = (note.relative_to(session.root).as_posix(),) if note.is_file() else ()
         units.append(work.WorkUnit(slot, merge_slot, session.root, job, files=files))
@@ -298,10 +299,10 @@ def run(
 ) -> list[Verdict]:
     """Merge every captured slot that has no panorama from the same frames, profile and options.
 
-    scheduler: where brackets are merged. force: merge slots with such a panorama again. Then write
-    the summary, if a panorama is new. Return one verdict for each captured slot, sorted by slot;
-    slots that were not merged again have the state "kept". Raises NotEnoughDataError if nothing was
-    captured, InputError if all brackets failed.
+    Write quality.csv and the contact sheets if a panorama is new. scheduler: where brackets are
+    merged. force: merge slots with such a panorama again. Return one verdict for each captured
+    slot, sorted by slot; slots that were not merged again have the state "kept". Raises
+    NotEnoughDataError if nothing was captured, InputError if all brackets failed.
     """
     slots = [folder.name for folder in session.captured_folders()]
     if not slots:
@@ -316,7 +317,7 @@ def run(
     if summary_due(session):
         write_summary(session)
     elif session.quality.is_file():
-        change_of(session.quality)
+        change_of(session.quality)  # warns if somebody changed it
     if all(v.state == "failed" for v in verdicts):
         count, first = counted(len(verdicts), "bracket"), verdicts[0]
         found = f"0 of {count} could be merged; {first.slot}: {first.text}"
@@ -326,9 +327,10 @@ def run(
 
 @contextmanager
 def merging(session: Session, options: MergeOptions) -> Iterator[Callable[[str], object]]:
-    """Give a function that merges a captured slot in another process, while others are captured.
+    """Give a function that starts the merge of a captured slot, by name, in another process.
 
-    `run` finds their panoramas. It merges the slots that still wait at the end, or that failed.
+    Capture goes on meanwhile. Merges that have not begun at the end are cancelled: `run` merges
+    those slots, and the ones that failed.
     """
     slots = [slot.id for slot in session.slots()]
     units = dict(zip(slots, _units(session, slots, options, False), strict=True))
@@ -364,7 +366,7 @@ def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
 def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDArray[np.uint8]:
     """Return the picture of one page, RGB [H, W, 3], with the colour scale at its foot.
 
-    sidecars: of the page's panoramas; zone: of the times below them.
+    sidecars: of the page's panoramas; zone: time zone of the times below them.
     """
     foot = -(-len(sidecars) // _PER_ROW) * _PLACE[1]
     sheet = np.full((foot + 34, _PER_ROW * _PLACE[0], 3), 255, np.uint8)
@@ -383,11 +385,12 @@ def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDA
 
 
 def _write_text(sheet: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
+    """Write a small black text into the sheet; at: x, y of its lower left corner [px]."""
     cv2.putText(sheet, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.36, (0, 0, 0), 1, cv2.LINE_AA)
 
 
 def _thumbnail(path: Path) -> NDArray[np.uint8]:
-    """Return one panorama as a picture [height, width, 3]."""
+    """Return a panorama as a thumbnail in false colour, RGB [_HEIGHT, _WIDTH, 3]."""
     panorama = read_panorama(path)
     flags = 0 if panorama.flags is None else panorama.flags
     light = np.where(flags, np.float32(np.nan), panorama.luminance_cdm2)
@@ -398,7 +401,7 @@ def _thumbnail(path: Path) -> NDArray[np.uint8]:
 def write_summary(session: Session) -> None:
     """Write contact sheets and quality.csv (`QUALITY_COLUMNS`) of all merged brackets.
 
-    quality.csv is written last: its date shows that the summary is complete.
+    quality.csv is written last, because `summary_due` compares its date with the sidecars'.
     """
     sidecars = [note for note in readable_sidecars(session.sidecar_files()) if note.report.frames]
     write_contact_sheets(session, sidecars)
@@ -407,10 +410,9 @@ def write_summary(session: Session) -> None:
 
 
 def summary_due(session: Session) -> bool:
-    """Return whether the summary must be written again.
+    """Return whether a panorama's sidecar is newer than quality.csv, or quality.csv is missing.
 
-    That is if a panorama's sidecar is newer than quality.csv, or if there are sidecars and no
-    quality.csv.
+    The summary must then be written again. Without any sidecar it is not due.
     """
     path = session.quality
     written_ns = path.stat().st_mtime_ns if path.is_file() else -1
@@ -427,7 +429,7 @@ QUALITY_COLUMNS = (
 
 
 def _row(sidecar: Sidecar) -> JsonTable:
-    """Return the row of a panorama in quality.csv."""
+    """Return the row of a panorama in quality.csv: figures of the merge, and of the sun disc."""
     sun = sidecar.sun
     return {
         **structs.asdict(sidecar.report),

@@ -51,14 +51,14 @@ def take_out_disc(
 ) -> tuple[Panorama, SunDisc | None]:
     """Return the panorama without the sun's disc, and the disc.
 
-    altitude_deg, azimuth_deg: the sun's apparent direction, where the disc is searched for. The
-    disc's pixels get the luminance of their surroundings, an uncertainty of 100 % and the flag
+    altitude_deg, azimuth_deg: the sun's apparent direction, near which the disc is searched for.
+    The disc's pixels get the luminance of their surroundings, an uncertainty of 100 % and the flag
     FILLED. The panorama's `sun` gets the disc's illuminance, with one of three origins: "clipped"
     (all frames are clipped: a lower bound), "nd-frames" (measured through a filter) or "merge"
     (measured without a filter). If the disc is not visible, return the panorama unchanged and None.
     """
-    own = 0 if panorama.flags is None else panorama.flags
-    flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16) | np.asarray(own, np.uint16)
+    recorded = 0 if panorama.flags is None else panorama.flags
+    flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16) | np.asarray(recorded, np.uint16)
     disc = _disc_near(panorama, (flags & Flag.CLIPPED_HIGH) > 0, altitude_deg, azimuth_deg)
     if disc is None:
         return panorama, None
@@ -69,8 +69,8 @@ def take_out_disc(
     if u_cdm2 is not None:
         u_cdm2 = np.where(disc.pixels, disc.surroundings_cdm2, u_cdm2).astype(np.float32)
     if rgb is not None:
-        darker = np.where(disc.pixels, disc.surroundings_cdm2 / np.maximum(light, 1e-12), 1.0)
-        rgb = (rgb * darker[..., None]).astype(np.float32)
+        remaining = np.where(disc.pixels, disc.surroundings_cdm2 / np.maximum(light, 1e-12), 1.0)
+        rgb = (rgb * remaining[..., None]).astype(np.float32)
     without = replace(
         panorama,
         luminance_cdm2=without_disc(light, disc),
@@ -85,11 +85,11 @@ def take_out_disc(
 def _disc_near(
     panorama: Panorama, clipped: Mask, altitude_deg: float, azimuth_deg: float
 ) -> SunDisc | None:
-    """Return the disc within 3 degrees of the stated place; None if there is none.
+    """Return the sun's disc within 3 degrees of the sun's stated place; None if there is none.
 
     clipped: pixels that are clipped in all frames [H, W]; altitude_deg, azimuth_deg: the sun's
     apparent place, clockwise from true north. A compass near steel is wrong by up to 5 degrees, so
-    places with headings 5 degrees off are searched too. There a disc must exceed 20 klx, because a
+    places 5 degrees to either side are searched too. There a disc must exceed 20 klx, because a
     facade of glass mirrors up to a fifth of the sun's 100 klx.
     """
     light, heading_deg = panorama.luminance_cdm2, panorama.heading_deg
@@ -105,7 +105,7 @@ def _disc_near(
 def disc_px(lenses: Sequence[Lens]) -> float:
     """Return the diameter of the sun's disc on the sensor [px], averaged over a lens's field.
 
-    With several lenses, this is the diameter for the lens with the smallest.
+    With several lenses it is the smallest of their diameters.
     """
     return min(
         2 * SUN_RADIUS_RAD * lens.radius_px / np.radians(lens.full_angle_deg / 2) for lens in lenses
@@ -117,8 +117,9 @@ def mosaic_u_rel(diameter_px: float) -> float:
 
     diameter_px: of the disc on the sensor. Each colour samples only some of the pixels. The result
     is an rms over positions of the disc, for sharp optics, at most 0.5. It is accurate within 25 %
-    between 0.7 and 16 pixels (the law of lattice points in a circle; bench/sun_on_mosaic.py). It is
-    an upper bound: where the optics spread a point over two pixels, the error is 20 times smaller.
+    between 0.7 and 16 pixels (the law of lattice points in a circle; bench/sun_on_mosaic.py). For
+    real optics it is an upper bound: where they spread a point over two pixels, the error is 20
+    times smaller.
     """
     return min(0.5, 0.3 * diameter_px**-1.5)
 
@@ -130,11 +131,12 @@ def mosaic_u_rel(diameter_px: float) -> float:
 def sun_on_sensor(
     images: Sequence[SensorImage], disc: SunDisc, panorama: Panorama
 ) -> tuple[float, float, float] | None:
-    """Return altitude, azimuth and standard uncertainty [deg] of the disc's centre on the sensor.
+    """Return altitude, azimuth and standard uncertainty of the sun disc on the sensor [deg].
 
-    images: merged sensor of each heading; the lens whose axis is nearest to the disc is used. disc:
-    as found in the panorama. Azimuths are clockwise from true north. Return None if no lens sees
-    the disc, or if the panorama does not determine its centre (disc.sigma_deg is NaN).
+    images: merged sensor of each heading, of which the one whose lens axis is nearest to the disc
+    is used; disc: as found in the panorama. The azimuth is clockwise from true north. Return None
+    if no lens sees the disc, or if the panorama does not determine its centre (disc.sigma_deg is
+    NaN).
     """
     heading_deg, pixel_rad = panorama.heading_deg, np.pi / len(panorama.luminance_cdm2)
     towards = projection.direction(disc.altitude_deg, disc.azimuth_deg - heading_deg)
@@ -145,31 +147,35 @@ def sun_on_sensor(
     (image, lens), (x, y, angle) = lenses[number], places[number]
     if angle >= lens.half_angle_rad or np.isnan(disc.sigma_deg):
         return None
-    light, clipped = image.luminance_and_clipped()
+    light, clipped = image.luminance_and_clipped()  # [height, width] of the sensor's crop
     px_per_rad = lens.radius_px / lens.half_angle_rad
     reach_px = 2.0 + px_per_rad * (SUN_RADIUS_RAD + _BLUR_RAD + 2.0 * pixel_rad)
     top, left = max(int(y - reach_px), 0), max(int(x - reach_px), 0)
     window = np.s_[top : int(y + reach_px) + 2, left : int(x + reach_px) + 2]
-    core = np.unravel_index(int(np.argmax(light[window])), light[window].shape)
-    bound_only = bool(clipped[window][core])
+    brightest = np.unravel_index(int(np.argmax(light[window])), light[window].shape)
+    is_clipped = bool(clipped[window][brightest])
     weight = clipped[window].astype(float)
-    if not bound_only:
+    if not is_clipped:
         excess = light[window] - float(np.median(light[window]))
         # pixels with less than 5 % of the brightest one's excess are sky
         weight = np.where(excess > 0.05 * excess.max(initial=0.0), excess, 0.0).astype(float)
     if not weight.any():
         return None
     row, column = np.asarray(center_of_mass(weight), float)  # of pixel centres
-    wide_px = 2.0 * np.sqrt(np.count_nonzero(weight) / np.pi)
+    diameter_px = 2.0 * np.sqrt(np.count_nonzero(weight) / np.pi)
     # the halo of a clipped spot is not exactly round
-    sigma_px = 0.05 * wide_px if bound_only else _CENTRE_PX / max(wide_px, 1.0)
+    sigma_px = 0.05 * diameter_px if is_clipped else _CENTRE_PX / max(diameter_px, 1.0)
     sigma_px = max(float(sigma_px), _MIN_CENTRE_PX)
     ray = projection.lens_rays(lens, left + column + 0.5, top + row + 0.5)
     altitude, azimuth = map(float, projection.altitude_azimuth_deg(ray))
     return altitude, (azimuth + heading_deg) % 360.0, float(np.degrees(sigma_px / px_per_rad))
 
 
-_TILE_DEG = 2  # divides 180; chosen
+# ----------------------------------------------------------------------------------------------
+# the sky's luminance, in tiles of the panorama
+
+
+_TILE_DEG = 2  # side of a tile; divides 180; chosen
 # Added to the sun's largest declination: half the diagonal of a tile, and two degrees for the level
 # of the camera, refraction and the disc.
 _MAX_DECLINATION_DEG = OBLIQUITY_DEG + _TILE_DEG / np.sqrt(2.0) + 2.0
@@ -186,11 +192,11 @@ def sky_cut(
 ) -> SkyPicture | None:
     """Return the luminance of directions that the sun reaches in a year; None if no lens sees any.
 
-    Only tiles with a pixel that is clipped or brighter than their surroundings are filled.
-
-    views: of each lens at each heading, on the panorama `target`; seen: their blend. heading_deg:
-    azimuth of the panorama's centre, clockwise from true north; latitude_deg: of the camera. Pixels
-    are at least as large as the sensor's, within 2 %, and at least 0.1 degrees.
+    Only tiles with a pixel that is clipped, or brighter than 1.25 times the median of the panorama,
+    are filled; others are NaN. views: of each lens at each heading, on the panorama `target`; seen:
+    their blend. heading_deg: azimuth of the panorama's centre, clockwise from true north;
+    latitude_deg: of the camera. Pixels are at least as large as the sensor's, within 2 %, and at
+    least 0.1 degrees.
     """
     can_be_sun = sun_tiles(heading_deg, latitude_deg) & _tiles_with(seen.coverage > 0.0, target)
     if not can_be_sun.any():
@@ -204,8 +210,8 @@ def sky_cut(
     dark_cdm2 = 1.25 * float(np.median(seen.luminance[seen.coverage > 0.0]))
     shines = (seen.luminance > dark_cdm2) | (seen.flags & Flag.CLIPPED_HIGH > 0)
     bright = (can_be_sun & _tiles_with(shines & (seen.coverage > 0.0), target))[place]
-    out = np.full((bright.shape[0] * side, bright.shape[1] * side), np.nan, np.float32)
-    clipped = np.zeros(out.shape, bool)
+    light_cdm2 = np.full((bright.shape[0] * side, bright.shape[1] * side), np.nan, np.float32)
+    clipped = np.zeros(light_cdm2.shape, bool)
     step = max(1, 60 // side)  # tiles whose matrices have 1 MB at most; decides speed only
     for i, j in product(*(range(0, count, step) for count in bright.shape)):
         tiles = bright[i : i + step, j : j + step]
@@ -215,22 +221,27 @@ def sky_cut(
         high, wide = used.shape
         corner = ((first + i) * side, (left + j) * side)
         part = Equirect(180 // _TILE_DEG * side, (*corner, high, wide))
-        light, marked = _block(views, part, target)
+        of_block, clipped_in_block = _block(views, part, target)
         into = np.s_[i * side : i * side + high, j * side : j * side + wide]
-        out[into], clipped[into] = np.where(used, light, np.nan), used & marked
+        light_cdm2[into] = np.where(used, of_block, np.nan)
+        clipped[into] = used & clipped_in_block
     grid = SkyGrid(
         first_altitude_deg=90.0 - first * _TILE_DEG,
         first_azimuth_deg=left * _TILE_DEG - 180.0,
         step_deg=_TILE_DEG / side,
         heading_deg=heading_deg,
-        height=out.shape[0],
-        width=out.shape[1],
+        height=light_cdm2.shape[0],
+        width=light_cdm2.shape[1],
     )
-    return SkyPicture(out, clipped, grid, dark_cdm2=dark_cdm2)
+    return SkyPicture(light_cdm2, clipped, grid, dark_cdm2=dark_cdm2)
 
 
 def _block(views: Sequence[LensView], part: Equirect, target: Equirect) -> tuple[Floats, Mask]:
-    """Return luminance and clipped pixels of a part of the sphere, [h, w] each."""
+    """Return luminance [cd/m2] and a mask of the clipped pixels of a part of the sphere, [h, w].
+
+    views: of each lens at each heading, on the panorama `target`. Pixels that no lens sees, or
+    without a good sensor pixel, are NaN.
+    """
     coarse = _coarse_pixels(part, target)
     fine = []
     for view in views:
@@ -247,7 +258,7 @@ def _block(views: Sequence[LensView], part: Equirect, target: Equirect) -> tuple
 
 
 def _coarse_pixels(part: Equirect, target: Equirect) -> Indices:
-    """Return the flat index of the target's pixel at each pixel of a part, [h w]."""
+    """Return the flat index of the pixel of `target` that contains each pixel of a part, [h w]."""
     rows, columns = (
         ((start + np.arange(count) + 0.5) / part.height * target.height).astype(int)
         for start, count in zip(part.corner, part.shape, strict=True)
@@ -257,19 +268,21 @@ def _coarse_pixels(part: Equirect, target: Equirect) -> Indices:
 
 
 def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:
-    """Return the tiles of a panorama in which the sun's disc can be within a year, [90, 180].
+    """Return a mask [90, 180] of the panorama's tiles in which the sun can be within a year.
 
-    True if the sun can be there; tiles of 2 degrees, row 0 at the zenith. They are above -2 degrees
-    of altitude. heading_deg: azimuth of the middle, which may be wrong by 5 degrees.
+    A tile is 2 x 2 degrees; row 0 is at the zenith. Tiles that begin at the lowest altitude of a
+    sky picture or below are False. heading_deg: azimuth of the middle, which may be wrong by 5
+    degrees.
     """
     rows = 180 // _TILE_DEG
     pole = celestial_pole(latitude_deg)
-    out = np.zeros((rows, 2 * rows), bool)
-    for wrong in _HEADING_ERRORS_DEG:
-        rays = projection.equirect_rays(rows, 2 * rows, heading_deg + wrong)
-        out |= np.abs(np.degrees(np.arcsin(np.clip(rays @ pole, -1, 1)))) < _MAX_DECLINATION_DEG
+    reached = np.zeros((rows, 2 * rows), bool)
+    for error_deg in _HEADING_ERRORS_DEG:
+        rays = projection.equirect_rays(rows, 2 * rows, heading_deg + error_deg)
+        declination_deg = np.degrees(np.arcsin(np.clip(rays @ pole, -1, 1)))
+        reached |= np.abs(declination_deg) < _MAX_DECLINATION_DEG
     above = 90.0 - np.arange(rows) * _TILE_DEG > LOWEST_ALTITUDE_DEG
-    return out & above[:, None]
+    return reached & above[:, None]
 
 
 def _tiles_with(marked: Mask, target: Equirect) -> Mask:

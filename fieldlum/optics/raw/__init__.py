@@ -20,18 +20,8 @@ from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import InputError, kind_of, library_messages
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import MAX_PIXELS, Cfa
-from fieldlum.optics.raw.exif import (
-    TIFF_VARIANTS,
-    FrameInfo,
-    Tags,
-    by_other_program,
-    info_of,
-    numbers,
-    roll_deg_of,
-    same_model,
-    tags_of,
-    white_balance_is_fixed,
-)
+from fieldlum.optics.raw import exif
+from fieldlum.optics.raw.exif import FrameInfo, roll_deg_of, same_model, white_balance_is_fixed
 
 RAW_SUFFIXES = tuple(
     ".dng .cr2 .cr3 .crw .nef .nrw .arw .raf .rw2 .orf .pef .srw .raw".split()  # noqa: SIM905
@@ -122,21 +112,21 @@ def _check_strips(path: Path) -> None:
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)
     with open_to_read(path) as file:
         head = file.read(4)
-        if head not in (*TIFF_VARIANTS, *TIFF_VARIANTS.values()):
+        if head not in (*exif.TIFF_VARIANTS, *exif.TIFF_VARIANTS.values()):
             return
         content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
-    content[:4] = TIFF_VARIANTS.get(head, head)
+    content[:4] = exif.TIFF_VARIANTS.get(head, head)
     end = 0
     try:
         with tifffile.TiffFile(content) as tiff:  # pyright: ignore[reportArgumentType]
-            if head in TIFF_VARIANTS:
+            if head in exif.TIFF_VARIANTS:
                 end = _end_of_variant(tiff.pages.first.tags)
             else:
                 end = max(_end_of(page, content, path) for page in _pages(tiff))
     except InputError:
         raise
     except Exception as error:
-        if head in TIFF_VARIANTS:  # its other tags follow rules of the maker
+        if head in exif.TIFF_VARIANTS:  # its other tags follow rules of the maker
             return
         finding = f"broken TIFF structure ({type(error).__name__})"
         raise _damaged(path, finding, "a raw file") from None
@@ -248,12 +238,12 @@ def _visible_shift(path: Path, raw: Any) -> tuple[int, int]:
     return 0, 0
 
 
-def _colour_matrix(raw: Any, tags: Tags) -> Floats | None:
+def _colour_matrix(raw: Any, tags: exif.Tags) -> Floats | None:
     """Return the matrix from XYZ to camera, [3, 3]: LibRaw's, else the DNG's ColorMatrix2 or 1."""
     xyz_matrix = np.asarray(raw.rgb_xyz_matrix, float)[:3]
     if np.any(xyz_matrix):
         return xyz_matrix
-    values = numbers(tags, *_COLOUR_MATRICES)
+    values = exif.numbers(tags, *_COLOUR_MATRICES)
     return np.reshape(values, (3, 3)) if len(values) == 9 and np.any(values) else None
 
 
@@ -264,7 +254,7 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
     Raises InputError for a file that is damaged or that LibRaw cannot open, without a Bayer mosaic,
     or without exposure time, f-number or ISO.
     """
-    tags = tags_of(path)
+    tags = exif.tags_of(path)
     with opened(path) as raw:
         cfa, index = _pattern(path, raw)
         counts = raw.raw_image_visible
@@ -277,7 +267,7 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
             float(black[index[(row + down) % 2, (column + right) % 2]])
             for row, column in channel_positions(cfa)
         )
-        info = info_of(path, tags, lambda _: _libraw_exposure(raw), lens_f_number)
+        info = exif.info_of(path, tags, lambda _: _libraw_exposure(raw), lens_f_number)
         white_dn = float(raw.white_level or 0)
         if not 0 <= max(black_dn) < white_dn:
             finding = f"black level {max(black_dn):g}, white level {white_dn:g}"
@@ -299,9 +289,9 @@ def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
     it is installed. lens_f_number : f-number to use if the frame states none; with 0 a missing one
     is an error. Raises InputError without exposure time, f-number or ISO.
     """
-    tags = tags_of(path)
+    tags = exif.tags_of(path)
     try:
-        return info_of(path, tags, _by_program, lens_f_number)
+        return exif.info_of(path, tags, _by_program, lens_f_number)
     except InputError:
         if is_jpeg(path):
             _codes(path, MAX_CAMERA_PIXELS)  # damage is the cause, if the file is damaged
@@ -311,7 +301,7 @@ def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
 def _by_program(path: Path) -> tuple[float, float, float]:
     """Return a frame's shutter time [s], f-number and ISO by LibRaw, of a JPEG by exiftool."""
     if is_jpeg(path):
-        return by_other_program(path)
+        return exif.by_other_program(path)
     with opened(path) as raw:
         return _libraw_exposure(raw)
 
@@ -337,10 +327,10 @@ def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
     to 500 million), and at least `MAX_PIXELS`. Raises InputError for a file that cannot be read, is
     no complete JPEG, has more pixels, or whose EXIF lacks exposure time, f-number or ISO.
     """
-    tags = tags_of(path)
+    tags = exif.tags_of(path)
     # Before the exposure, because a cut file may lack it as well.
     codes = _codes(path, max(MAX_PIXELS, min(camera_pixels, MAX_CAMERA_PIXELS)))
-    return JpegFrame(**_fields(info_of(path, tags, _by_program)), codes=codes)
+    return JpegFrame(**_fields(exif.info_of(path, tags, _by_program)), codes=codes)
 
 
 def jpeg_size(path: Path) -> tuple[int, int]:
