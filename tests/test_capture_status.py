@@ -8,20 +8,20 @@ from pathlib import Path
 import pytest
 from tiny_field import Field
 
-from fieldlum.capture.status import status
 from fieldlum.cli import terminal
 from fieldlum.session import (
     day_files,
     read_day,
 )
+from fieldlum.session.stage_status import stage_status
 
 
 @pytest.mark.contract
 def test_status_counts_from_files_alone(rig: Field) -> None:
-    before = status(rig.session)
+    before = stage_status(rig.session)
     assert before["capture"]["owed"] == 3 and before["capture"]["next"] == "20270320T153000Z"
     rig.run()
-    after = status(rig.session)
+    after = stage_status(rig.session)
     assert (after["capture"]["done"], after["capture"]["frames"], after["merge"]["owed"]) == (
         3,
         9,
@@ -39,7 +39,7 @@ def test_a_bracket_that_is_being_taken_is_not_to_be_merged(rig: Field) -> None:
     rig.camera_fault = stop
     with pytest.raises(KeyboardInterrupt):
         rig.run()
-    answer = status(rig.session)
+    answer = stage_status(rig.session)
     assert (answer["capture"]["frames"], answer["merge"]["owed"]) == (1, 0)
     assert answer["next_step"] == f"fieldlum capture {rig.session.root}"
 
@@ -52,7 +52,7 @@ def test_pairs_of_a_simulated_truth_are_no_pairs_of_panoramas(rig: Field) -> Non
     rig.session.pairs.write_text(f"t_utc,panorama,dni_wm2,dhi_wm2\n{row}\n", encoding="utf-8")
     rig.session.panoramas.mkdir(exist_ok=True)
     rig.session.panorama(slot).write_bytes(b"")
-    answer = status(rig.session)["pair"]
+    answer = stage_status(rig.session)["pair"]
     assert answer == {"done": 0, "usable": 1, "owed": 1}
 
 

@@ -16,7 +16,6 @@ import pytest
 from click.testing import CliRunner
 from places import SEATTLE
 
-from fieldlum.capture.status import next_step
 from fieldlum.cli import main
 from fieldlum.cli.new_command import site_text
 from fieldlum.core.records import CameraSetup, Exposure, Obstruction, Room, SiteFile, Window
@@ -24,6 +23,7 @@ from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.optics.raw.writing import write_jpeg
 from fieldlum.room.scene.drawing import compass_text, room_svg
 from fieldlum.session.site_toml import load_site
+from fieldlum.session.stage_status import next_step
 
 MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
 ROOM = Room(

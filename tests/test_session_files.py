@@ -17,7 +17,6 @@ import pytest
 from places import SEATTLE
 
 from fieldlum.capture import doctor, prepare
-from fieldlum.capture.status import status
 from fieldlum.core.errors import InputError
 from fieldlum.core.files import cut_torn_tail
 from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot
@@ -40,6 +39,7 @@ from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import MergeReport, Sidecar
 from fieldlum.session.panorama_sun import SunRow, read_suns, write_suns
+from fieldlum.session.stage_status import stage_status
 
 NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
 SLOT = Slot(NOON, 18.0, 180.0, (Exposure(0.01, 5.6),))
@@ -55,7 +55,7 @@ def test_status_names_each_model_whatever_its_config(session: Session) -> None:
     for name, text in (("a", '{"model": "transport"}'), ("b", "{}"), ("c", "nothing")):
         (session.models / name).mkdir(parents=True)
         (session.models / name / "config.json").write_text(text)
-    assert status(session)["train"]["models"] == ["a", "b", "c"]
+    assert stage_status(session)["train"]["models"] == ["a", "b", "c"]
 
 
 @pytest.mark.contract

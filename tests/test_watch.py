@@ -45,7 +45,7 @@ from fieldlum.session.files.model_files import ModelConfig, TrainingNote
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile, YearWeather
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.web.prediction_so_far import Moment, Worker, answer_table
-from fieldlum.web.server import Guard, _table, prepare, qr_lines
+from fieldlum.web.server import Guard, _json_response, prepare, qr_lines
 from fieldlum.web.snapshot import DayBins, JournalFollower, Snapshots
 
 HOSTILE = '<img src=x onerror="document.body.dataset.hacked=1">'
@@ -368,7 +368,7 @@ def test_an_answer_that_no_page_can_show_is_said(tmp_path: Path) -> None:
     path = session.root / "watch" / "annual" / "predict.json"
     path.with_name("predict.json.sha256").unlink()
     path.write_text(path.read_text("utf-8").replace("0.41", "NaN"), "utf-8")
-    assert _table(lambda: answer_table(session, None)).status_code == 503
+    assert _json_response(lambda: answer_table(session, None)).status_code == 503
 
 
 @pytest.mark.contract
@@ -411,7 +411,7 @@ def test_followed_files_give_what_a_whole_reading_gives(tmp_path: Path) -> None:
     for k in range(10):
         days.append(IrradianceSample(T0 + timedelta(seconds=12 * k), ghi_wm2=100.0 + k))
         bins.update()
-    assert np.nansum(bins.means[:, 0]) == pytest.approx(104.5)
+    assert np.nansum(bins.means_wm2[:, 0]) == pytest.approx(104.5)
     days.close()
 
 

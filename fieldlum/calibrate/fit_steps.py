@@ -177,7 +177,7 @@ def read_table(
     rows = table.dicts()
     numbers = [text for _, cells in rows for name, text in cells.items() if name not in _PATHS]
     points = sum(("." in text) - ("," in text) for text in numbers)
-    commas = table.mark != "," and points <= 0
+    commas = table.separator != "," and points <= 0
     for line, cells in rows:
         row = {name: _cell(path, line, name, text, commas) for name, text in cells.items() if text}
         if empty := [name for name in required if name not in row]:
@@ -217,7 +217,7 @@ def columns_of(path: Path) -> tuple[str, ...]:
 def _table(path: Path) -> strict_csv.CsvTable:
     """Return a csv; many spreadsheets write semicolons."""
     remedy = "name the columns in its first line"
-    return strict_csv.read_table(path, "a csv of readings", remedy, marks=",;\t")
+    return strict_csv.read_table(path, "a csv of readings", remedy, separators=",;\t")
 
 
 def _cell(path: Path, line: int, name: str, text: str, has_commas: bool) -> Any:

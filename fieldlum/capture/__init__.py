@@ -2,8 +2,7 @@
 
 `steady_clock` keeps UTC correct when the computer's clock is set; `reconnect` reopens devices that
 fail; `logger` writes irradiance; `bracket` takes one bracket; `runner` is the loop; `import_card`
-imports; `status` counts what is done. The state of each slot is computed by
-`fieldlum.session.slot_states`.
+imports. The state of each slot is computed by `fieldlum.session.slot_states`.
 """
 
 from fieldlum.capture.runner import Options, prepare, run

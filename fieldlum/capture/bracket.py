@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
+from itertools import product
 from pathlib import Path
 
 from fieldlum.capture.disk_writer import Recorder
@@ -26,14 +27,14 @@ STALE_S = 60.0  # after a longer pause between frames the light may have changed
 
 @dataclass(frozen=True, slots=True)
 class FrameChecks:
-    """Checks of new frames; each returns what is wrong, or nothing ("") if the frame is good.
+    """Checks of new frames; each returns a sentence on the fault, or "" for a good frame.
 
-    settings: compares EXIF with the requested exposure, and returns the one to record too; pixels:
-    reads the pixels; darkest: checks whether over half of a bracket's darkest frame is clipped. By
-    default every frame is accepted.
+    settings: compares EXIF with the requested exposure; also returns the exposure to record.
+    pixels: reads the pixels. darkest: checks whether over half of a bracket's darkest frame is
+    clipped. By default every frame is accepted.
     """
 
-    settings: Callable[[Path, Exposure], tuple[str, Exposure]] = lambda path, asked: ("", asked)
+    settings: Callable[[Path, Exposure], tuple[str, Exposure]] = lambda path, nominal: ("", nominal)
     pixels: Callable[[Path], str] = lambda path: ""
     darkest: Callable[[Path], str] = lambda path: ""
 
@@ -43,14 +44,14 @@ NO_CHECKS = FrameChecks()
 
 @dataclass(slots=True)
 class BracketCapture:
-    """Takes the frames of one slot that are missing (`take`).
+    """Takes the missing frames of one slot (`take`).
 
     A doubtful frame is taken once more while the slot's window is open, unless an earlier second
     frame of the bracket is doubtful too. state: from the journal, with the frames already taken;
     deadline: the end of the slot's window. between: called with each frame, and with None while
     waiting, to log irradiance and to refresh the display. meter: illuminance meter, read before the
     first and after the last frame, None without one; frame_bytes: size of the largest frame so far,
-    for which the disk must have space.
+    for which the disk must have space. folder: of the slot's files; requests: all planned frames.
     """
 
     session: Session
@@ -66,30 +67,30 @@ class BracketCapture:
     state: SlotState
     deadline: datetime
     folder: Path = field(init=False)
-    wanted: tuple[FrameRequest, ...] = field(init=False)
+    requests: tuple[FrameRequest, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Derive the slot's folder and its frames."""
+        """Derive the slot's folder and its planned frames."""
         self.folder = self.session.capture_file(self.slot.id).parent
-        self.wanted = frame_requests(self.slot.exposures, self.setup)
+        self.requests = frame_requests(self.slot.exposures, self.setup)
 
     def take(self) -> SlotState:
-        """Take the missing frames; return the final state, done or aborted.
+        """Take the missing frames; return the slot's final state, done or aborted.
 
         After a failure, try again until the deadline.
         """
         if (link := link_on_the_way(self.session.root, self.folder)) is not None:
             return self.abort(f"{link} is a symbolic link: replace it by a folder")
         _delete_temporary_files(self.folder)
-        full = 0  # failures for lack of space
+        times_full = 0  # failures because the disk was full
         if self.state.outcome == "":
             self._start(1)
         while True:
             self._restart_if_stale()
             if not self.state.frames:
                 self._read_meter()
-            have = {frame.index for frame in self.state.frames}
-            missing = [shot for shot in self.wanted if shot.index not in have]
+            taken = {frame.index for frame in self.state.frames}
+            missing = [request for request in self.requests if request.index not in taken]
             if not missing:
                 return self._check_pixels()
             try:
@@ -98,8 +99,8 @@ class BracketCapture:
             except Exception as error:
                 self._handle_failure(error)
                 if disk_is_full(error):
-                    full += 1
-                    can_go_on = self._wait_for_room(pause_s(full))
+                    times_full += 1
+                    can_go_on = self._wait_for_space(pause_s(times_full))
                 else:
                     can_go_on = self._wait_for(lambda: self.camera.get() is not None)
                 if not can_go_on:
@@ -112,13 +113,14 @@ class BracketCapture:
             self._retake(frame)
 
     def resumable(self) -> bool:
-        """Return whether all frames exist, or one ended at most a minute ago.
+        """Return whether an interrupted bracket can be continued with the frames that it has.
 
-        Without a frame it is False.
+        It can if all frames exist, or if one ended at most a minute ago, so that the light is still
+        the same.
         """
         earliest = self.clock.now() - timedelta(seconds=STALE_S)
         ends = [frame.t_utc + timedelta(seconds=frame.seconds) for frame in self.state.frames]
-        return len(ends) == len(self.wanted) or any(end >= earliest for end in ends)
+        return len(ends) == len(self.requests) or any(end >= earliest for end in ends)
 
     def abort(self, why: str) -> SlotState:
         """Journal the slot as aborted for the reason `why`, and return its state.
@@ -135,30 +137,31 @@ class BracketCapture:
         return replace(self.state, outcome="aborted", why=why)
 
     def _store_in_state(self, frame: Frame) -> None:
-        """Store a frame in the state, in place of an earlier one of its index."""
+        """Add a frame to the state; it replaces an earlier frame of the same index."""
         others = (other for other in self.state.frames if other.index != frame.index)
         self.state = replace(self.state, frames=(*others, frame))
 
     def _handle_failure(self, error: Exception) -> None:
-        """Free the reserve after a full disk; drop the camera after another error of it."""
+        """Free space if the disk was full; after another error, close the camera to reopen it."""
         _delete_temporary_files(self.folder)  # an incomplete frame takes up space
         if disk_is_full(error):
-            self.recorder.make_room()
+            self.recorder.release_reserve()
         elif not isinstance(error, _Away):
             self.camera.mark_lost(error)
 
     def _retake(self, doubtful: Frame) -> None:
         """Take a doubtful frame again while the slot's window is open.
 
-        Both files remain; the second one is used. If an earlier second frame of this bracket is
-        doubtful too, nothing is taken again, because the cause is then a setting of the camera.
+        Do nothing for a frame without a doubt. Both files remain; the second one is used. If an
+        earlier second frame of this bracket is doubtful too, nothing is taken again, because the
+        cause is then a setting of the camera.
         """
-        in_time = self.clock.now() + timedelta(seconds=doubtful.seconds) <= self.deadline
-        in_vain = any(frame.instead_of and frame.doubt for frame in self.state.frames)
-        if not doubtful.doubt or in_vain or not in_time:
+        is_in_time = self.clock.now() + timedelta(seconds=doubtful.seconds) <= self.deadline
+        was_futile = any(frame.instead_of and frame.doubt for frame in self.state.frames)
+        if not doubtful.doubt or was_futile or not is_in_time:
             return
         try:
-            second = self._expose(self.wanted[doubtful.index], instead_of=doubtful.file)
+            second = self._expose(self.requests[doubtful.index], instead_of=doubtful.file)
         except Exception as error:  # the doubtful frame is already in the journal, so it is used
             self._handle_failure(error)
             return
@@ -170,33 +173,34 @@ class BracketCapture:
             self._store_in_state(second)
 
     def _check_pixels(self) -> SlotState:
-        """Read the pixels of each frame after the camera has finished; return the final state.
+        """Read the pixels of each frame after the last one; return the slot's final state.
 
         Take a frame again if it does not open and the slot's window is still open. Second frames
         were read when they were taken. A bracket of which most frames cannot be read is aborted,
         because it cannot be merged.
         """
         for frame in sorted(self.state.frames, key=lambda frame: frame.index):
-            if not (frame.doubt or frame.instead_of) and (
-                why := self.checks.pixels(self.folder / frame.file)
-            ):
-                doubtful = replace(frame, doubt=why)
+            is_read = frame.doubt or frame.instead_of
+            fault = "" if is_read else self.checks.pixels(self.folder / frame.file)
+            if fault:
+                doubtful = replace(frame, doubt=fault)
                 self._store_in_state(doubtful)
                 self._retake(doubtful)
             self.between(None)
         frames = self.state.frames
         lost = [f for f in frames if f.doubt and self.checks.pixels(self.folder / f.file)]
-        if not lost or len(frames) - len(lost) >= max(2, len(frames) / 2):  # `merge` needs so many
+        if not lost or len(frames) - len(lost) >= max(2, len(frames) / 2):  # enough for `merge`
             return self._complete_bracket()
         shown = f"{lost[0].file}: {lost[0].doubt}"
         return self.abort(f"{len(lost)} of {len(frames)} frames cannot be read: {shown}")
 
     def _start(self, attempt: int) -> None:
+        """Journal the start of an attempt (from 1), which has no frames yet."""
         self.recorder.write_event("started", slot=self.slot.id, attempt=attempt)
         self.state = SlotState("started", attempt)
 
     def _restart_if_stale(self) -> None:
-        """Start the bracket again if its pause is too long; move its frames to a subfolder."""
+        """Start the bracket again if it paused for too long; move its frames to a subfolder."""
         if not self.state.frames or self.resumable():
             return
         self.recorder.ensure_space(1 << 14)  # a new folder with its entries
@@ -211,25 +215,30 @@ class BracketCapture:
         sync_folder(self.folder)
         self._start(self.state.attempt + 1)
 
-    def _expose(self, shot: FrameRequest, instead_of: str = "") -> Frame:
-        """Take one frame, check it, give it its final name, and return it."""
+    def _expose(self, request: FrameRequest, instead_of: str = "") -> Frame:
+        """Take one frame, check its settings, give its file the final name, and return the frame.
+
+        instead_of: name of the doubtful file that the frame replaces, "" for a first frame. Raises
+        DeviceError or the driver's error if the camera fails, OSError if the disk does.
+        """
         if self.camera.get() is None:
             raise _Away("the camera is away")
         self.recorder.ensure_space(self.frame_bytes)
         self.folder.mkdir(parents=True, exist_ok=True)
-        begun, boot, exposure = self.clock.now(), self.clock.boottime(), shot.exposure
+        begun_utc, begun_s, nominal = self.clock.now(), self.clock.boottime(), request.exposure
         # Each try has its own file name, so that a frame which a hung camera delivers late cannot
         # replace another.
-        target = self.folder / f".{shot.stem}.{os.getpid()}.{self.state.attempt}.{boot:.3f}"
+        target = self.folder / f".{request.stem}.{os.getpid()}.{self.state.attempt}.{begun_s:.3f}"
 
         def take(camera: Camera) -> tuple[Path, Exposure]:
-            written = camera.expose(exposure, target, heading_deg=shot.heading_deg)
-            return written, camera.exposure_taken(written) or exposure
+            """Return the file that the camera wrote, and the exposure that it reports."""
+            written = camera.expose(nominal, target, heading_deg=request.heading_deg)
+            return written, camera.exposure_taken(written) or nominal
 
-        written, taken = self.camera.call(take, exposure.shutter_s)
-        seconds = self.clock.boottime() - boot
+        written, taken = self.camera.call(take, nominal.shutter_s)
+        seconds = self.clock.boottime() - begun_s
         doubt, taken = self.checks.settings(written, taken)
-        final = written.with_name(f"{shot.stem}{'_again' if instead_of else ''}{written.suffix}")
+        final = written.with_name(f"{request.stem}{'_again' if instead_of else ''}{written.suffix}")
         if self.recorder.flush:
             with written.open("rb+") as file:
                 os.fsync(file.fileno())
@@ -238,19 +247,19 @@ class BracketCapture:
             sync_folder(final.parent)
         self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
         return Frame(
-            index=shot.index,
+            index=request.index,
             file=final.name,
             exposure=taken,
-            heading_deg=shot.heading_deg,
-            t_utc=begun,
+            heading_deg=request.heading_deg,
+            t_utc=begun_utc,
             seconds=round(seconds, 3),
             sha256=sha256(final),
             doubt=doubt,
             instead_of=instead_of,
         )
 
-    def _wait_for_room(self, least_s: float) -> bool:
-        """Wait until a frame fits on the disk; return False at the deadline.
+    def _wait_for_space(self, least_s: float) -> bool:
+        """Wait until a frame fits on the disk; return whether it does before the deadline.
 
         Wait at least `least_s`, because free space does not show that a disk quota is exhausted.
         """
@@ -259,6 +268,7 @@ class BracketCapture:
         return self._wait_for(lambda: self.clock.now() >= earliest and not missing(size))
 
     def _wait_for(self, is_ready: Callable[[], bool]) -> bool:
+        """Wait until `is_ready()`; return whether it was before the deadline."""
         while self.clock.now() < self.deadline:
             if is_ready():
                 return True
@@ -269,13 +279,14 @@ class BracketCapture:
     def _complete_bracket(self) -> SlotState:
         """Write capture.json and the journal's entry of a bracket with all its frames.
 
-        Doubts about frames, and about what the darkest one shows, become the reason `why`.
+        The state's `why` gets the doubts about frames, and the fault of the darkest one.
         """
         self._read_meter()
         frames = self.state.frames
         notes = [f"{f.file} taken again" for f in frames if f.instead_of and not f.doubt]
         notes += [f"{f.file}: {f.doubt}" for f in frames if f.doubt]
         exposures = [frame.exposure for frame in frames]
+        # Frames through a filter (False) are darker than all others (True).
         light = [(e.nd == "", e.shutter_s / e.f_number**2) for e in exposures]
         darkest = frames[light.index(min(light))]
         if text := self.checks.darkest(self.folder / darkest.file):
@@ -285,14 +296,14 @@ class BracketCapture:
         except OSError as error:
             if not disk_is_full(error):
                 raise
-            self.recorder.make_room()  # frees the reserve; capture.json has a few kilobytes
+            self.recorder.release_reserve()  # capture.json needs only a few kilobytes
             self._write()
         why = "; ".join(notes)
         self.recorder.write_event("done", slot=self.slot.id, frames=len(frames), why=why)
         return replace(self.state, outcome="done", why=why)
 
     def _read_meter(self) -> None:
-        """Read the illuminance at the lens. A failing meter does not affect the bracket."""
+        """Journal the illuminance at the lens [lx]; a failing meter does not affect the bracket."""
         if self.meter is None or self.meter.get() is None:
             return
         try:
@@ -304,9 +315,10 @@ class BracketCapture:
         self.state = replace(self.state, illuminance_lx=(*self.state.illuminance_lx, lux))
 
     def _write(self) -> None:
+        """Write capture.json with the frames taken so far."""
         camera = self.camera.get()
         info = plain_info(camera.info) if camera is not None else {}
-        is_complete = len(self.state.frames) == len(self.wanted)
+        is_complete = len(self.state.frames) == len(self.requests)
         write_capture(self.folder, self.slot, self.state, self.setup, info, complete=is_complete)
 
 
@@ -318,7 +330,7 @@ def _delete_temporary_files(folder: Path) -> None:
 
 
 class _Away(DeviceError):
-    """The camera is away, which was already reported."""
+    """The camera is away, and the journal already has the event."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,9 +354,8 @@ class FrameRequest:
 
 def frame_requests(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:
     """Return the frames of a bracket: all exposures at the first heading, then at the next."""
-    headings: tuple[float | None, ...] = setup.headings or (None,)
-    pairs = [(exposure, heading) for heading in headings for exposure in exposures]
-    return tuple(FrameRequest(i, exposure, heading) for i, (exposure, heading) in enumerate(pairs))
+    pairs = product(setup.headings or (None,), exposures)
+    return tuple(FrameRequest(i, exposure, heading) for i, (heading, exposure) in enumerate(pairs))
 
 
 def write_capture(
@@ -356,23 +367,24 @@ def write_capture(
     *,
     complete: bool,
 ) -> None:
-    """Write capture.json about a slot's frames into its folder, atomically, for merge.
+    """Write capture.json, from which `merge` reads a slot's frames, into the slot's folder.
 
-    complete: whether all planned frames were taken; camera: what the camera reports about itself.
-    Raises ValueError if the state has no frame.
+    The file is complete or absent. state: with the frames and the illuminances [lx], whose mean is
+    written; complete: whether all planned frames were taken; camera: what the camera reports about
+    itself. Raises ValueError if the state has no frame.
     """
     frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
-    readings = state.illuminance_lx
-    opened, closed = interval_of(frames)
+    readings_lx = state.illuminance_lx
+    opened_utc, closed_utc = interval_of(frames)
     capture = CaptureFile(
         slot=slot.id,
         frames=frames,
-        t_open_utc=opened,
-        t_close_utc=closed,
+        t_open_utc=opened_utc,
+        t_close_utc=closed_utc,
         complete=complete,
         profile=setup.profile,
         heading_deg=setup.heading_deg,
         camera=camera,
-        illuminance_lx=sum(readings) / len(readings) if readings else None,
+        illuminance_lx=sum(readings_lx) / len(readings_lx) if readings_lx else None,
     )
     capture.write(folder / "capture.json")

@@ -34,7 +34,8 @@ class Recorder:
     what could not be written (of rows the newest 100 000), and tries again at the next event or
     row. now: returns UTC. reserve, reserve_bytes: name and size of a file that is deleted when the
     disk is full, to gain its space; each process has its own. flush: with False, files survive a
-    killed process but not a power cut. listen: called with each event. rows: number written.
+    killed process but not a power cut. listen: called with each event. full: whether the disk was
+    full and the reserve is deleted. rows: number written. last_event: for the display.
     """
 
     def __init__(
@@ -47,16 +48,11 @@ class Recorder:
         listen: Listen = lambda event, t_utc, fields: None,
         reserve: str = ".reserve",
     ) -> None:
-        """Open the journal and day files; reserve `reserve_bytes` on the disk for their last lines.
-
-        now: the clock's time in UTC; flush: write through to the disk after each line; listen: is
-        called with each event; reserve: name of the file that reserves the space.
-        """
         self._session, self._now, self._listen = session, now, listen
         self._reserve_bytes, self.flush = reserve_bytes, flush
         self._reserve = session.root / reserve
         self._lock = threading.RLock()
-        self._events: deque[tuple[str, datetime, EventFields]] = deque()
+        self._events: deque[tuple[str, datetime, EventFields]] = deque()  # name, UTC and fields
         self._rows: deque[IrradianceSample] = deque(maxlen=100_000)  # almost six days at 5 s
         self.journal, self.days = Journal(session, flush=flush), DayFiles(session, flush=flush)
         self.full, self.rows = False, 0
@@ -67,15 +63,15 @@ class Recorder:
         """Write an event with the current time to the journal; return whether it is on the disk."""
         with self._lock:
             self.last_event = event
-            now = self._now()
-            self._events.append((event, now, fields))
-            durable = self._flush_events()
+            t_utc = self._now()
+            self._events.append((event, t_utc, fields))
+            is_on_disk = self._flush_events()
         with suppress(Exception):  # a listener's defect must not end the capture
-            self._listen(event, now, fields)
-        return durable
+            self._listen(event, t_utc, fields)
+        return is_on_disk
 
     def write_events(self, events: Iterable[tuple[str, EventFields]]) -> None:
-        """Write some events, each a name and its fields, as `write_event` does."""
+        """Write several events, each a name and its fields, as `write_event` does."""
         for name, fields in events:
             self.write_event(name, **fields)
 
@@ -101,20 +97,20 @@ class Recorder:
         """
         with self._lock:
             if missing := self.missing_bytes(size):
-                self.make_room()
+                self.release_reserve()
                 shown = f"{missing / 1e6:.2f} MB of free space are missing"
                 self.last_event = f"disk-full: {shown}; delete other files"
                 raise OSError(errno.ENOSPC, self.last_event)
             if self._free_bytes() < size:
-                self.make_room()
+                self.release_reserve()
 
     def _free_bytes(self) -> int:
         return disk_usage(self._reserve.parent).free
 
-    def make_room(self) -> None:
-        """Delete the reserve file on a full disk, so that journal and rows can be written.
+    def release_reserve(self) -> None:
+        """Delete the reserve file, so that journal and rows can be written on a full disk.
 
-        The event is journalled. Further calls do nothing until `restore_reserve`.
+        The journal gets the event disk-full. Further calls do nothing until `restore_reserve`.
         """
         with self._lock:
             if not self.full:
@@ -124,7 +120,10 @@ class Recorder:
                     self.write_event("disk-full", bytes_free=self._free_bytes())
 
     def restore_reserve(self) -> None:
-        """Restore the reserve file and write what waits in memory; called before each bracket."""
+        """Create the reserve file again if possible, and write what waits in memory.
+
+        Called before each bracket.
+        """
         with self._lock:
             try:
                 _allocate(self._reserve, self._reserve_bytes)
@@ -133,25 +132,28 @@ class Recorder:
                 with suppress(OSError):
                     self._reserve.unlink(missing_ok=True)
                 if disk_is_full(error):
-                    self.make_room()
+                    self.release_reserve()
             self._flush_events()
             self._flush_rows()
 
     def _flush_events(self) -> bool:
+        """Append the waiting events to the journal; return whether all are on the disk."""
         return self._flush(self._events, lambda e: self.journal.append(e[0], e[1], **e[2]))
 
     def _flush_rows(self) -> bool:
-        return self._flush(self._rows, self._append)
+        """Append the waiting rows to the day files; return whether all are on the disk."""
+        return self._flush(self._rows, self._append_row)
 
-    def _append(self, sample: IrradianceSample) -> None:
+    def _append_row(self, sample: IrradianceSample) -> None:
+        """Append a reading to its day file, and count it."""
         self.days.append(sample)
         self.rows += 1
 
     def _flush(self, waiting: deque[T], write: Callable[[T], None]) -> bool:
-        """Write what waits in memory; return False if some of it cannot be written now.
+        """Write the elements of `waiting` and remove them; return whether all were written.
 
         After a failure, delete the reserve or reopen the files, and try once more. write: writes
-        one of `waiting`.
+        one element.
         """
         is_first_failure = True
         while waiting:
@@ -163,11 +165,14 @@ class Recorder:
                 if not is_first_failure or (is_full and self.full):
                     return False
                 is_first_failure = False
-                self.make_room() if is_full else self._reopen(error)
+                self.release_reserve() if is_full else self._reopen(error)
         return True
 
     def _reopen(self, error: OSError) -> None:
-        """Reopen the files, which become invalid if the disk was away or its folder was moved."""
+        """Reopen journal and day files: handles fail after a disk was away or a folder moved.
+
+        error: the failure, for the display.
+        """
         self.last_event = f"not written: {error.strerror or error}"
         with suppress(OSError, InputError):
             self.days.close()
@@ -179,7 +184,7 @@ class Recorder:
             self.days = DayFiles(self._session, flush=self.flush)
 
     def close(self) -> None:
-        """Write events and rows that wait in memory, close the files, delete the reserve file.
+        """Write what waits in memory, close the files, and delete the reserve file.
 
         Errors of the disk are ignored; what cannot be written now is lost.
         """
@@ -193,7 +198,10 @@ class Recorder:
 
 
 def _allocate(path: Path, size: int) -> None:
-    """Create a file that occupies `size` bytes of the disk; file systems compress zeros."""
+    """Create a file that occupies `size` bytes of the disk, unless it exists with this size.
+
+    Its bytes are random, because some file systems compress zeros.
+    """
     if path.is_file() and path.stat().st_size == size:
         return
     with os.fdopen(open_inside(path.parent, path, os.O_WRONLY | os.O_CREAT), "wb") as file:

@@ -1,4 +1,4 @@
-"""Check, before a campaign, what could ruin a month of captures; each finding is one line."""
+"""Check before a campaign what could spoil a month of captures; each finding is one line."""
 
 import shutil
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
@@ -31,9 +31,11 @@ _CALIBRATION_YEARS = 2.0  # recommended interval of pyranometer makers (Kipp & Z
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of one check of `doctor`: its subject, ok, warn or fail, and a sentence.
+    """The result of one check of `doctor`.
 
-    exit_code: of the command if the check failed: 4 for devices and this computer, 3 for files.
+    what: subject of the check, such as "camera clock"; text: a sentence, with the remedy for a
+    fault; exit_code: of the command if the check failed: 4 for devices and this computer, 3 for
+    files.
     """
 
     what: str
@@ -43,24 +45,24 @@ class Finding:
 
 
 def ok(what: str, text: str) -> Finding:
-    """Return a finding without a fault; what: the check or device, text: a sentence."""
+    """Return a finding without a fault; what, text: as in `Finding`."""
     return Finding(what, "ok", text)
 
 
 def warn(what: str, text: str) -> Finding:
-    """Return a warning; what: the check or device, text: a sentence with the remedy."""
+    """Return a warning; what, text: as in `Finding`."""
     return Finding(what, "warn", text)
 
 
 def fail(what: str, text: str, exit_code: int = 4) -> Finding:
-    """Return a failure; what, text: as of `warn`; exit_code: 4 for a device, 3 for a file."""
+    """Return a failure; what, text, exit_code: as in `Finding`."""
     return Finding(what, "fail", text, exit_code)
 
 
 def iso_date(text: str, source: str = "camera profile") -> date | None:
-    """Parse an ISO date; None for an empty text. Raises InputError for any other text.
+    """Return the date of an ISO text such as 2027-03-20; None for an empty text.
 
-    source: what states the date, for the error.
+    source: what states the date, for the error. Raises InputError for any other text.
     """
     try:
         return date.fromisoformat(text) if text else None
@@ -70,9 +72,9 @@ def iso_date(text: str, source: str = "camera profile") -> date | None:
 
 
 def age_text(calibrated: date | None, today: date) -> str:
-    """Return a sentence on a calibration over two years old; "" for a newer one.
+    """Return a sentence on a calibration that is over two years old, else "".
 
-    calibrated: its date, None if unknown, which also gives "".
+    calibrated: its date; None if unknown, which gives "".
     """
     if calibrated is None or (today - calibrated).days <= _CALIBRATION_YEARS * 365.25:
         return ""
@@ -80,9 +82,8 @@ def age_text(calibrated: date | None, today: date) -> str:
     return f"last calibrated on {calibrated}, {years}: calibrate again"
 
 
-# Checks for a page that is shown while a capture uses the devices and writes the journal.
+# Names of checks for a page that is shown while a capture uses the devices and writes the journal.
 WITHOUT_DEVICES = ("plan", "profile", "clock", "disk", "sleep", "sun")
-EVERY = (*WITHOUT_DEVICES, "journal", "camera", "pyranometer", "meter", "writing")
 
 
 def run(
@@ -92,12 +93,12 @@ def run(
     now_utc: datetime,
     *,
     meter_uri: str = "",
-    only: Container[str] = EVERY,
+    only: Container[str] | None = None,
 ) -> list[Finding]:
-    """Run all checks and return their findings; a check that raises an error is a failure.
+    """Run checks and return their findings; a check that raises an error gives a failure.
 
     camera_uri, pyranometer_uri, meter_uri: as for the openers of `fieldlum.devices`; "" means that
-    the device is not used. only: names of the checks to run, of `EVERY`.
+    the device is not used. only: names of the checks to run, None for all.
     """
     checks: dict[str, Callable[[], Iterable[Finding]]] = {
         "plan": lambda: check_plan(session, now_utc),
@@ -113,7 +114,7 @@ def run(
         "sun": lambda: check_sun(session, now_utc),
     }
     findings: list[Finding] = []
-    names = [name for name in checks if name in only]
+    names = [name for name in checks if only is None or name in only]
     for number, name in enumerate(names):
         progress(number, len(names), name)
         try:
@@ -124,15 +125,18 @@ def run(
 
 
 def exit_code(findings: Sequence[Finding]) -> int:
-    """Return 0 if no check failed, else the exit code of the failure.
+    """Return 0 if no check failed, else 3 if a file is faulty, else 4 for a device.
 
-    A bad file (3) precedes a device (4), because without files the other checks have no meaning.
+    Files come first, because without them the other checks have no meaning.
     """
     return min([finding.exit_code for finding in findings if finding.verdict == "fail"], default=0)
 
 
 def as_table(findings: Sequence[Finding]) -> JsonTable:
-    """Return {"ok", "findings"} of `doctor --json`: ok is True if none failed; `Finding` fields."""
+    """Return the answer of `doctor --json`.
+
+    ok: whether no check failed; findings: a table for each, with the fields of `Finding`.
+    """
     return {"ok": exit_code(findings) == 0, "findings": [asdict(finding) for finding in findings]}
 
 
@@ -141,9 +145,9 @@ def as_table(findings: Sequence[Finding]) -> JsonTable:
 
 
 def check_plan(session: Session, now_utc: datetime) -> Iterator[Finding]:
-    """Yield findings on plan.csv: it fails if changed since it was planned.
+    """Yield findings on plan.csv: a failure if the file was changed since it was planned.
 
-    It is a warning if no slot can still be captured.
+    Also yield how many slots are in the future, or a warning if no slot can still be captured.
     """
     slots, ahead = session.slots(), slots_ahead(session, now_utc)
     if session.table().get("plan", {}).get("sha256", "") != sha256(session.plan):
@@ -151,30 +155,31 @@ def check_plan(session: Session, now_utc: datetime) -> Iterator[Finding]:
         text += "or plan a new session (fieldlum plan SITE.toml --set SET --out NEW)"
         yield fail("plan", text, 3)
     if ahead:
-        first = ahead[0].t_utc.astimezone(ZoneInfo(session.site_file().site.timezone))
-        text = f"{len(ahead)} of {len(slots)} slots are in the future, the next on "
-        yield ok("plan", f"{text}{first:%a %Y-%m-%d at %H:%M %Z}")
+        next_local = ahead[0].t_utc.astimezone(ZoneInfo(session.site_file().site.timezone))
+        when = f"the next on {next_local:%a %Y-%m-%d at %H:%M %Z}"
+        yield ok("plan", f"{len(ahead)} of {len(slots)} slots are in the future, {when}")
         return
     states = read_slot_states(session).slots
     captured = {slot for slot, state in states.items() if state.outcome == "done"}
     missing, count = without_capture(slots, captured)
-    text = f", and {missing} of {count} were not captured: add make-up slots with fieldlum plan "
-    text = f"{text}{session.root} --replan" if missing else f": all {count} were captured"
-    yield warn("plan", f"no slot of the plan can still be captured{text}")
+    remedy = f"add make-up slots with fieldlum plan {session.root} --replan"
+    lack = f", and {missing} of {count} were not captured: {remedy}"
+    result = lack if missing else f": all {count} were captured"
+    yield warn("plan", f"no slot of the plan can still be captured{result}")
 
 
 def check_journal(session: Session) -> Iterator[Finding]:
-    """Yield a warning that names the journal's damaged lines."""
+    """Yield a warning that names the journal's damaged lines; nothing without any."""
     if text := damage_text(damaged_lines(session)):
         remedy = "what they recorded is lost: restore the journal from a copy if there is one"
         yield warn("journal", f"{text}; {remedy}")
 
 
 def check_profile(session: Session, today: date) -> Iterator[Finding]:
-    """Yield findings on the camera profile: its age, calibration and coverage of the view.
+    """Yield findings on the camera profile: its age, its calibration and its coverage of the view.
 
-    See `judge_age` and `judge_calibration`. Directions that no lens covers and headings are a
-    warning. Raises InputError for an unreadable profile.
+    See `judge_age` and `judge_calibration`. Directions that no lens covers, and headings to which a
+    person turns the camera, are warnings. Raises InputError for an unreadable profile.
     """
     setup = session.site_file()
     profile = load_camera_profile(setup.camera.profile)
@@ -188,7 +193,10 @@ def check_profile(session: Session, today: date) -> Iterator[Finding]:
 
 
 def judge_age(profile: CameraProfile, today: date) -> Finding:
-    """Return a finding on a profile: fail if expired, warn if calibrated never or 2 years ago."""
+    """Return a finding on a profile's age.
+
+    A failure if it has expired, a warning if it was never calibrated or over two years ago.
+    """
     name = profile.camera.name
     expires, calibrated = iso_date(profile.expires), iso_date(profile.camera.date)
     if expires and expires < today:
@@ -202,15 +210,15 @@ def judge_age(profile: CameraProfile, today: date) -> Finding:
 
 
 def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> Iterator[Finding]:
-    """Yield a failed finding for apertures without a scale, and one for unknown filters.
+    """Yield a failure for planned apertures without a scale, and one for unknown filters.
 
     The scale is the profile's factor k of each calibrated aperture. slots: whose planned exposures
-    are judged. Nothing is yielded without such a fault.
+    are judged. Nothing is yielded if all apertures and filters are known.
     """
     planned = {exposure for slot in slots for exposure in slot.exposures}
     name, scaled = profile.camera.name, set(profile.scale.f_numbers)
-    if scaled and (other := sorted({e.f_number for e in planned} - scaled)):
-        shown = ", ".join(f"f/{f:g}" for f in other)
+    if scaled and (unscaled := sorted({e.f_number for e in planned} - scaled)):
+        shown = ", ".join(f"f/{f_number:g}" for f_number in unscaled)
         text = f"{name} has no scale k for {shown}: calibrate this aperture, or plan again"
         yield fail("profile", text, 3)
     if missing := {e.nd for e in planned if e.nd} - {nd.name for nd in profile.nd}:
@@ -219,7 +227,7 @@ def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> Iterator
 
 
 def check_sun(session: Session, now_utc: datetime) -> Iterator[Finding]:
-    """Yield a warning if coming slots have a filter or the sun in view of the lens.
+    """Yield a warning if a future slot has a filter, or the sun in view of the lens.
 
     The warning states who puts on the planned filter, or how the disc is measured without one.
     """
@@ -230,16 +238,17 @@ def check_sun(session: Session, now_utc: datetime) -> Iterator[Finding]:
 # ----------------------------------------------------------------------------------------------
 # camera and instruments
 
-# Above the second limit, the default grace of a slot, import may match frames to a wrong slot.
+# The camera's clock minus this computer's [s]. Beyond the second limit, which is the default grace
+# of a slot, import may match frames to a wrong slot. The first is chosen.
 CAMERA_CLOCK_WARN_S, CAMERA_CLOCK_FAIL_S = 5.0, DEFAULT_GRACE_S
 
 
 def check_camera(session: Session, uri: str, now_utc: datetime) -> Iterator[Finding]:
     """Check that the camera opens, has the planned exposures, and is that of the profile.
 
-    uri: of the camera; "" gives a warning. The findings also report its name, its clock and the
-    free space of its card. Raises DeviceError if the camera does not open, InputError for a file of
-    the session or the profile.
+    uri: address of the camera; "" gives a warning. The findings also report its name, its clock and
+    the free space of its card. Raises DeviceError if the camera does not open, InputError for a
+    file of the session or the profile that cannot be used.
     """
     if not uri:
         yield warn("camera", "no camera stated: add --camera URI, or import its card afterwards")
@@ -256,7 +265,7 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> Iterator[Find
 
 
 def judge_exposures(refused: Sequence[str], planned: int) -> Iterator[Finding]:
-    """Yield one failed finding if the camera cannot be set to some planned exposures.
+    """Yield a failure if the camera cannot be set to some planned exposures, else nothing.
 
     refused: a sentence on each of these; planned: number of planned exposures.
     """
@@ -267,10 +276,10 @@ def judge_exposures(refused: Sequence[str], planned: int) -> Iterator[Finding]:
 
 
 def judge_model(info: CameraInfo, profile: CameraProfile) -> Iterator[Finding]:
-    """Yield a warning if the camera's model is not that of the profile.
+    """Yield a warning if the camera's model is not that of the profile, else nothing.
 
-    Simulated and replayed cameras, and unknown models, give none. Frames of another camera cannot
-    be merged, and the planned exposures may be impossible.
+    Frames of another camera cannot be merged, and the planned exposures may be impossible.
+    Simulated and replayed cameras, and unknown models, are not compared.
     """
     model, body = info.model, profile.camera
     is_known = model and body.model and info.kind not in ("sim", "replay")
@@ -283,23 +292,25 @@ def judge_model(info: CameraInfo, profile: CameraProfile) -> Iterator[Finding]:
 def judge_camera(info: CameraInfo, uri: str, frames: int) -> Iterator[Finding]:
     """Yield the findings about a camera's name, clock and card.
 
-    uri: of the camera, for the text; frames: number that is planned. The clock warns over 5 s from
-    the computer's and fails over 300 s; an unknown time is a warning, and so is a card with less
-    space than planned.
+    uri: of the camera, for the text; frames: number of planned frames. For the clock see
+    `_judge_clock`; a card with space for fewer frames is a warning.
     """
     make = "" if info.model.startswith(info.make) else info.make  # "Canon", "Canon EOS 5D"
     who = " ".join(filter(None, (make, info.model, info.serial))) or info.kind
     battery = f", battery {info.battery}" if info.battery else ""
     yield ok("camera", f"{who} answers at {uri}{battery}")
-    yield _clock_of(info.clock_offset_s)
+    yield _judge_clock(info.clock_offset_s)
     if info.frames_left is not None:
         text = f"space for {info.frames_left} frames; {frames} are planned"
-        full = warn("camera card", f"{text}: use a larger card or disk, or empty this one")
-        yield full if info.frames_left < frames else ok("camera card", text)
+        too_small = warn("camera card", f"{text}: use a larger card or disk, or empty this one")
+        yield too_small if info.frames_left < frames else ok("camera card", text)
 
 
-def _clock_of(offset_s: float | None) -> Finding:
-    """Return the finding about a camera's clock; offset_s: to this computer's, None: unknown."""
+def _judge_clock(offset_s: float | None) -> Finding:
+    """Return a finding on a camera's clock: a warning over 5 s, a failure over 300 s.
+
+    offset_s: the camera's clock minus this computer's; None if unknown, which is a warning.
+    """
     what = "camera clock"
     if offset_s is None:
         text = "the camera does not report its time: photograph this computer's clock once"
@@ -312,9 +323,9 @@ def _clock_of(offset_s: float | None) -> Finding:
 
 
 def check_pyranometer(session: Session, uri: str) -> Iterator[Finding]:
-    """Check that the instrument opens, gives a plausible reading, and is calibrated.
+    """Check that the pyranometer opens, gives a plausible reading, and is calibrated.
 
-    uri: of the instrument; "" gives a warning. Raises DeviceError if it does not open or answer.
+    uri: of the pyranometer; "" gives a warning. Raises DeviceError if it does not open or answer.
     """
     if not uri:
         text = "no pyranometer stated: add --pyranometer URI, or import a logger's file"
@@ -341,25 +352,27 @@ def check_meter(uri: str) -> Iterator[Finding]:
 def judge_pyranometer(
     info: InstrumentInfo, sample: IrradianceSample, site: Site
 ) -> Iterator[Finding]:
-    """Yield findings on an instrument: its reading, faults, and age of calibration.
+    """Yield findings on a pyranometer: its reading, its faults, and the age of its calibration.
 
-    A reading that is impossible for the sun's altitude fails. A reported fault, an instrument of
-    global irradiance only, lines without a checksum, and a calibration over two years ago are
-    warnings.
+    A reading [W/m2] that is impossible for the sun's altitude is a failure. A fault that the
+    instrument reports, one that measures only global irradiance, lines without a checksum, and a
+    calibration over two years ago are warnings.
     """
     what, who = "pyranometer", f"{info.model or info.kind} {info.serial}".strip()
     parts = {"global": sample.ghi_wm2, "diffuse": sample.dhi_wm2, "direct": sample.dni_wm2}
     measured = {name: value for name, value in parts.items() if value is not None}
     reading = ", ".join(f"{name} {value:.0f}" for name, value in measured.items())
     yield ok(what, f"{who} answers: {reading} W/m2")
-    altitude = sun.position([sample.t_utc], site).altitude_deg
-    limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2([sample.t_utc]))
+    altitude_deg = sun.position([sample.t_utc], site).altitude_deg  # [1]
+    limits = sun.bsrn_limits(altitude_deg, sun.extraterrestrial_wm2([sample.t_utc]))
     possible = {"global": limits.ghi_wm2, "diffuse": limits.dhi_wm2, "direct": limits.dni_wm2}
     for name, value in measured.items():
-        low, high = possible[name][0], possible[name][1][0]
-        if not low <= value <= high:
-            text = f"{name} {value:.0f} W/m2 with the sun at {altitude[0]:.0f} deg is impossible "
-            text += f"(limits {low:g} to {high:.0f} W/m2): check mounting, wiring and time"
+        low_wm2, (high_wm2,) = possible[name]
+        if not low_wm2 <= value <= high_wm2:
+            text = (
+                f"{name} {value:.0f} W/m2 with the sun at {altitude_deg[0]:.0f} deg is impossible "
+            )
+            text += f"(limits {low_wm2:g} to {high_wm2:.0f} W/m2): check mounting, wiring and time"
             yield fail(what, text)
     if status := sample.status or info.status:
         yield warn(what, f"the instrument reports a fault: {status}: see its manual")
@@ -397,9 +410,9 @@ def check_clock(synchronised: bool | None) -> Finding:
 
 
 def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
-    """Return a finding on the disk: it fails without space for all future slots and 30 % more.
+    """Return a finding on the disk: a failure without space for all future slots and 30 % more.
 
-    free_bytes: free space.
+    free_bytes: free space. If no slot was captured yet, their size is unknown, which is a warning.
     """
     ahead, slot_bytes = len(slots_ahead(session, now_utc)), session.slot_bytes()
     needed = ahead * slot_bytes * 1.3
@@ -413,7 +426,7 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
 
 
 def check_writing(folder: Path) -> Iterator[Finding]:
-    """Write into the folder, and warn of one that a cloud service synchronises.
+    """Check that files can be written into the folder; warn if its path names a cloud service.
 
     Raises OSError or InputError if nothing can be written.
     """
@@ -425,16 +438,16 @@ def check_writing(folder: Path) -> Iterator[Finding]:
 
 
 def check_awake() -> Iterator[Finding]:
-    """Take the locks against sleep, release them, and judge them; see `check_sleep`."""
+    """Check which locks against sleep this computer grants; see `check_sleep`."""
     with kept_awake() as locks:
         yield check_sleep(locks, lid=any(Path("/proc/acpi/button/lid").glob("*")))
 
 
 def check_sleep(locks: str, *, lid: bool = False) -> Finding:
-    """Return a finding on whether a capture can keep this computer awake, a warning if it cannot.
+    """Return a finding on sleep: a warning if a capture cannot keep this computer awake.
 
-    locks: names of the locks that `capture` is granted, joined by colons; lid: whether there is a
-    lid. By logind's default a closed lid overrides a lock on sleep; only a lock on
+    locks: names of the locks that a capture is granted, joined by colons; lid: whether the computer
+    has a lid. By logind's default a closed lid overrides a lock on sleep; only a lock on
     handle-lid-switch prevents this.
     """
     how = "switch sleep off in the settings of this computer"

@@ -1,6 +1,6 @@
 """Check a new frame while it can still be taken again.
 
-It must be readable and have the requested exposure. At most half of the darkest frame may be
+A frame must be readable and have the requested exposure. At most half of the darkest frame may be
 clipped.
 """
 
@@ -16,44 +16,44 @@ from fieldlum.optics.exposure import SAME_SETTING_EV
 from fieldlum.optics.raw import is_jpeg, read_exif, read_jpeg, read_mosaic
 
 
-def compare_exif(path: Path, asked: Exposure) -> tuple[str, Exposure]:
-    """Return how a new frame's EXIF differs from the requested exposure, and the one to record.
+def compare_exif(path: Path, requested: Exposure) -> tuple[str, Exposure]:
+    """Return how a new frame's EXIF differs from the requested exposure, and which one to record.
 
-    The text is "" for a good frame; it is the reason for a frame that cannot be read. A setting
-    that EXIF does not state is not compared; others may differ by 1/6 EV. EXIF's exposure is
+    The text is "" without a difference; for a frame that cannot be read it is the reason. A setting
+    that EXIF does not state is not compared; others may differ by 1/6 EV. EXIF's exposure is to be
     recorded if it is complete and differs from the request, else the request.
     """
     try:
-        taken = read_exif(path, lens_f_number=asked.f_number).exposure
+        taken = read_exif(path, lens_f_number=requested.f_number).exposure
     except InputError as error:
-        return error.found, asked
-    pairs = (
-        ("shutter", taken.shutter_s, asked.shutter_s, 1.0),
-        ("f-number", taken.f_number, asked.f_number, 2.0),
-        ("ISO", taken.iso, asked.iso, 1.0),
+        return error.found, requested
+    settings = (  # name, value in EXIF, requested value, EV by which light changes when it doubles
+        ("shutter", taken.shutter_s, requested.shutter_s, 1.0),
+        ("f-number", taken.f_number, requested.f_number, 2.0),
+        ("ISO", taken.iso, requested.iso, 1.0),
     )
     text = ", ".join(
-        f"{name} {is_:g} instead of {should:g}"
-        for name, is_, should, per_octave in pairs
-        if is_ > 0 and should > 0 and abs(per_octave * math.log2(is_ / should)) > SAME_SETTING_EV
+        f"{name} {actual:g} instead of {nominal:g}"
+        for name, actual, nominal, ev in settings
+        if actual > 0 and nominal > 0 and abs(ev * math.log2(actual / nominal)) > SAME_SETTING_EV
     )
-    is_complete = all(is_ > 0 for _, is_, _, _ in pairs)
-    return text, replace(taken, nd=asked.nd) if text and is_complete else asked
+    is_complete = all(actual > 0 for _, actual, _, _ in settings)
+    return text, replace(taken, nd=requested.nd) if text and is_complete else requested
 
 
 def clipped_share(path: Path) -> float:
     """Return the share of a frame's clipped pixels, 0 to 1.
 
     A JPEG pixel is clipped if a colour has code 254 or 255. Raw pixels are clipped at the frame's
-    highest count, if this is at least 0.8 of the white level. Raises InputError if the frame cannot
-    be read.
+    highest count, if this is at least 0.8 of the white level: some sensors saturate below it.
+    Raises InputError if the frame cannot be read.
     """
     if is_jpeg(path):
         return float(np.mean(read_jpeg(path).codes.max(axis=2) >= 254))
     mosaic = read_mosaic(path, lens_f_number=1.0)  # only the counts are used
-    plateau = min(float(mosaic.white_dn), float(mosaic.counts.max()))
-    near_white = plateau >= 0.8 * mosaic.white_dn
-    return float(np.mean(mosaic.counts >= plateau)) if near_white else 0.0
+    highest_dn = min(float(mosaic.white_dn), float(mosaic.counts.max()))
+    is_near_white = highest_dn >= 0.8 * mosaic.white_dn
+    return float(np.mean(mosaic.counts >= highest_dn)) if is_near_white else 0.0
 
 
 def clipping_text(shortest: Path) -> str:

@@ -35,15 +35,15 @@ def run(
     columns: Mapping[str, str] | None = None,
     sensitivities: Mapping[str, float] | None = None,
 ) -> Report:
-    """Copy brackets that match the plan into raw/ and the journal.
+    """Copy the brackets that match the plan into raw/ and the journal; return what was imported.
 
     Add a logger's rows to the day files. An import can be repeated. The card and the logger's file
-    are never changed. utc_offset_s: clocks of camera and logger minus UTC [s]; None reads the
-    camera's from EXIF or fits it to the plan. logger_utc_offset_s: the logger's, if it is another.
-    columns: the logger's column name for each quantity,
-    if it is unusual; sensitivities: of pyranometers whose column is a voltage, uV per W/m2. Raises
-    InputError for a folder without frames, an ambiguous clock, an invalid logger's file, or while a
-    capture runs; NotEnoughDataError if no bracket matched.
+    are never changed. folder: of the card, None to import only the file `logger`. utc_offset_s:
+    clocks of camera and logger minus UTC [s]; None reads the camera's from EXIF or fits it to the
+    plan. logger_utc_offset_s: the logger's, if it is another. columns: the logger's column name for
+    each quantity, if it is unusual; sensitivities: of pyranometers whose column is a voltage, uV
+    per W/m2. Raises InputError for a folder without frames, an ambiguous clock, an invalid logger's
+    file, or while a capture runs; NotEnoughDataError if no bracket matched.
     """
     with sole_user(session, "capture"):
         rows, report = Report(), Report()
@@ -52,15 +52,14 @@ def run(
             rows = import_rows(session, logger, offset_s, columns, sensitivities)
         if folder is not None:
             report = _import_card(session, folder, utc_offset_s)
-        left_out, notes = (*report.left_out, *rows.left_out), (*report.notes, *rows.notes)
-        about = {"left_out": left_out, "notes": notes}
-        return replace(report, rows=rows.rows, withdrawn=rows.withdrawn, **about)
+    left_out, notes = (*report.left_out, *rows.left_out), (*report.notes, *rows.notes)
+    return replace(report, rows=rows.rows, withdrawn=rows.withdrawn, left_out=left_out, notes=notes)
 
 
 def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> Report:
-    """Import the brackets in a card's folder that match the plan.
+    """Import the brackets in a card's folder that match the plan; return what was imported.
 
-    utc_offset_s: the camera's clock minus UTC, None to find it.
+    utc_offset_s: the camera's clock minus UTC [s], None to find it. Raises as `run` does.
     """
     setup, slots = session.site_file(), session.slots()
     groups, left_out = _brackets(folder, setup, slots, utc_offset_s is not None)
@@ -71,11 +70,11 @@ def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> 
     for part in _parts_of_one_clock(groups, slots, utc_offset_s, zone):
         try:
             offset = match_card.clock_offset(part, slots, setup, utc_offset_s)
-        # The error of one campaign: a wrong date, or brackets of another plan.
+        # One campaign has a wrong date, or brackets of another plan; others can still be imported.
         except InputError as error:
             refused.append(error)
-            whose = f"{_file_range(part[0])} and {len(part) - 1} brackets after it"
-            left_out.append(f"{whose}: {error.found}; {error.remedy}")
+            files = f"{_file_range(part[0])} and {len(part) - 1} brackets after it"
+            left_out.append(f"{files}: {error.found}; {error.remedy}")
             continue
         clocks.append((part, offset))
         notes.append(match_card.exif_note(part, utc_offset_s))
@@ -93,7 +92,7 @@ def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> 
     offsets = tuple(offset for _, offset in clocks)
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
     imported = session.table().get("imported", {})
-    update_session(session, {"imported": {**imported, _text(folder): about}})
+    update_session(session, {"imported": {**imported, _utf8_text(folder): about}})
     return Report(
         brackets=len(new),
         frames=sum(len(m.group.frames) for m in new),
@@ -110,10 +109,10 @@ def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> 
 def _brackets(
     folder: Path, setup: SiteFile, slots: Sequence[Slot], own_clock: bool
 ) -> tuple[list[Group], list[str]]:
-    """Return the brackets in a card's folder, and sentences on files that are not used.
+    """Return the brackets in a card's folder, and a sentence on each file that is not used.
 
-    own_clock: whether times are those of the camera's clock, not corrected by EXIF's offset. Raises
-    NotEnoughDataError without a usable frame.
+    slots: of the plan. own_clock: whether times are those of the camera's clock, not corrected by
+    EXIF's offset. Raises NotEnoughDataError without a usable frame.
     """
     files = card_files(folder)
     body = load_camera_profile(setup.camera.profile).camera
@@ -131,10 +130,12 @@ def _brackets(
 def _parts_of_one_clock(
     groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None, zone: str
 ) -> list[list[Group]]:
-    """Return the brackets in parts between which the camera's clock was set.
+    """Split the brackets where the camera's clock may have been set; return the parts.
 
-    groups: brackets in order of the camera's clock; slots: of the plan; zone: IANA name of the
-    place. A stated offset `utc_offset_s`, and times that state UTC, hold for all frames of a part.
+    groups: brackets in order of the camera's clock; slots: of the plan; utc_offset_s: the offset
+    that the user states [s], None if none; zone: IANA name of the place. Parts are campaigns; one
+    whose clock is not stated is split further where its fit to the plan shows that the clock was
+    set.
     """
     parts = match_card.split_at_gaps(groups)
     if utc_offset_s is not None or not slots:
@@ -147,22 +148,23 @@ def _parts_of_one_clock(
 
 
 def planned_frames(group: Group, slot: Slot, setup: CameraSetup) -> list[FrameRequest | None]:
-    """Return the planned frame of each frame of a card's bracket; None for one of no plan."""
+    """Return the planned frame for each frame of a card's bracket; None for one not in the plan."""
     requests = frame_requests(slot.exposures, setup)
     indices = match_card.planned_indices(group, [request.exposure for request in requests])
     return [None if index is None else requests[index] for index in indices]
 
 
 def missing_frames(match: Match, setup: CameraSetup) -> list[FrameRequest]:
-    """Return the planned frames, at each heading, that a card's bracket lacks."""
+    """Return the planned frames, of all headings, that a card's bracket does not contain."""
     present = planned_frames(match.group, match.slot, setup)
-    return [r for r in frame_requests(match.slot.exposures, setup) if r not in present]
+    return [frame for frame in frame_requests(match.slot.exposures, setup) if frame not in present]
 
 
 def _missing_text(match: Match, setup: CameraSetup) -> str:
-    """Return a note on an incomplete bracket, or "".
+    """Return a note on the frames that a card's bracket does not contain; "" if it is complete.
 
-    A frame that could be with or without a filter is used as one without it: `merge` finds it.
+    EXIF does not record filters. A frame that may have one counts as taken without it, and `merge`
+    detects the filter.
     """
     missing = missing_frames(match, setup)
     if not missing:
@@ -175,9 +177,9 @@ def _missing_text(match: Match, setup: CameraSetup) -> str:
 def _import_brackets(
     session: Session, setup: CameraSetup, matches: Sequence[Match]
 ) -> tuple[list[Match], tuple[str, ...]]:
-    """Import every bracket that the journal does not record as done.
+    """Import every bracket whose slot is not yet done in the journal.
 
-    Return the imported brackets, and the slots that an earlier import had filled wrongly.
+    Return the imported brackets, and the ids of slots that an earlier import had filled wrongly.
     """
     with closing(Journal(session)) as journal:
         moved = remove_misplaced(session, journal, read_slot_states(session), matches)
@@ -190,12 +192,13 @@ def _import_brackets(
 
 
 def _file_range(group: Group) -> str:
+    """Return the path of a bracket's first frame and the name of its last, for messages."""
     first, last = group.frames[0].path, group.frames[-1].path
     return f"{first}" if first == last else f"{first} to {last.name}"
 
 
-def _text(path: Path) -> str:
-    """Return a path as valid UTF-8, because file names on a card may have another encoding."""
+def _utf8_text(path: Path) -> str:
+    """Return a path as a text that UTF-8 can encode; names on a card may have another encoding."""
     return str(path).encode("utf-8", "replace").decode()
 
 
@@ -203,21 +206,24 @@ def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, matc
     """Copy the frames of one bracket and journal them like captured ones."""
     slot, folder = match.slot, session.capture_file(match.slot.id).parent
     now = datetime.now(UTC)
-    journal.append("imported", now, slot=slot.id, source=_text(match.group.frames[0].path.parent))
+    journal.append(
+        "imported", now, slot=slot.id, source=_utf8_text(match.group.frames[0].path.parent)
+    )
     journal.append("started", now, slot=slot.id, attempt=1)
     frames: list[Frame] = []
     planned = planned_frames(match.group, slot, setup)
     for index, (card, request) in enumerate(zip(match.group.frames, planned, strict=True)):
         name = card.path.name
+        # Two folders of a card can have files of one name.
         if any(frame.file.casefold() == name.casefold() for frame in frames):
             name = f"{card.path.parent.name}_{name}"
         with replacing_path(folder / name) as copy:
             shutil.copyfile(card.path, copy)
         frame = Frame(
-            index,
-            name,
-            request.exposure if request else card.exposure,
-            request.heading_deg if request else next(iter(setup.headings), None),
+            index=index,
+            file=name,
+            exposure=request.exposure if request else card.exposure,
+            heading_deg=request.heading_deg if request else next(iter(setup.headings), None),
             t_utc=match_card.true_time(card.t_camera, match.offset),
             seconds=card.exposure.shutter_s,
             sha256=sha256(folder / name),
@@ -241,9 +247,9 @@ def remove_misplaced(
 ) -> tuple[str, ...]:
     """Remove imported brackets whose frames now have another slot or time; return their slots' ids.
 
-    matches: the new ones, each with its clock offset; times over two minutes apart differ. The
-    brackets' folders move to raw/withdrawn/, and what merge wrote from them is deleted. The slots
-    are then without a bracket again.
+    states: of the slots; matches: of the new import, each with its clock offset. Times differ if
+    they are over two minutes apart. The brackets' folders move to raw/withdrawn/, and what merge
+    wrote from them is deleted. The slots then have no bracket any more.
     """
     cards: dict[str, list[tuple[Match, CardFrame]]] = {}
     for match in matches:
@@ -254,7 +260,7 @@ def remove_misplaced(
         pairs = [(frame, *card) for frame in state.frames for card in cards.get(frame.file, ())]
         is_imported = state.outcome == "done" and state.why == "imported"
         if is_imported and any(_is_elsewhere(slot, *pair) for pair in pairs):
-            # Before the journal entry: the next import repairs an interrupted one.
+            # Before the journal entry, so that the next import repairs an interrupted one.
             _set_aside(session, slot)
             why = "imported with another clock"
             journal.append("withdrawn", datetime.now(UTC), slot=slot, why=why)
@@ -263,14 +269,19 @@ def remove_misplaced(
 
 
 def _is_elsewhere(slot: str, frame: Frame, match: Match, card: CardFrame) -> bool:
-    """Return whether a slot's imported frame has another slot or time by a match and its clock."""
-    apart = match_card.true_time(card.t_camera, match.offset) - frame.t_utc
-    # a refined clock offset changes times by less
-    is_elsewhere = slot != match.slot.id or abs(apart.total_seconds()) > 120.0
+    """Return whether a frame that was imported into `slot` now has another slot or time.
+
+    match, card: of the new import; a card's frame of the same name but another content is another
+    frame, which gives False.
+    """
+    difference = match_card.true_time(card.t_camera, match.offset) - frame.t_utc
+    # A refined clock offset changes times by less than two minutes.
+    is_elsewhere = slot != match.slot.id or abs(difference.total_seconds()) > 120.0
     return is_elsewhere and frame.sha256 == sha256(card.path)
 
 
 def _set_aside(session: Session, slot: str) -> None:
+    """Move a slot's folder to raw/withdrawn/SLOT.NUMBER, and delete what merge wrote from it."""
     folder, aside = session.capture_file(slot).parent, session.raw / "withdrawn"
     aside.mkdir(parents=True, exist_ok=True)
     if folder.is_dir():
@@ -288,20 +299,20 @@ def card_files(folder: Path) -> list[Path]:
 
     Other files are ignored, and so are folders that begin with `.` or `@`, in which systems store
     thumbnails and deleted files. Raises InputError if the folder is missing, or has no raw or JPEG
-    file; it names what the folder has, such as .heic.
+    file; the error names the suffixes in the folder, such as .heic.
     """
     if not folder.is_dir():
         found = "this is a file, not a folder" if folder.is_file() else "no such folder"
         remedy = "import a logger's file with --irradiance, or check the path of the card"
         raise InputError(folder, found, "a card's folder, such as DCIM", remedy)
     files = sorted(
-        p
-        for p in folder.rglob("*")
-        if p.is_file() and not any(name[0] in ".@" for name in p.relative_to(folder).parts)
+        path
+        for path in folder.rglob("*")
+        if path.is_file() and not any(name[0] in ".@" for name in path.relative_to(folder).parts)
     )
-    frames = [p for p in files if p.suffix.lower() in RAW_SUFFIXES or is_jpeg(p)]
+    frames = [path for path in files if path.suffix.lower() in RAW_SUFFIXES or is_jpeg(path)]
     if not frames:
-        kinds = listed(sorted({p.suffix.lower() for p in files})) if files else "no files"
+        kinds = listed(sorted({path.suffix.lower() for path in files})) if files else "no files"
         found = f"no raw or JPEG frames in this folder ({kinds})"
         remedy = "check the path of the card, and set the camera to record raw files"
         raise InputError(folder, found, "a card's folder, such as DCIM", remedy)
@@ -311,7 +322,7 @@ def card_files(folder: Path) -> list[Path]:
 def read_card(
     files: Sequence[Path], lens_f_number: float, own_clock: bool
 ) -> tuple[list[CardFrame], list[str]]:
-    """Return the frames with their EXIF, and a note on each file that cannot be used.
+    """Return the frames with their EXIF, and a sentence on each file that cannot be used.
 
     lens_f_number: f-number of a lens that writes none to EXIF, 0 for others. own_clock: whether
     times are those that the camera's clock showed, not corrected by EXIF's offset.
@@ -330,46 +341,48 @@ def read_card(
             continue
         offset = info.t_camera.utcoffset()  # None for a camera that writes no offset
         offset_s = None if offset is None else offset.total_seconds()
-        when = info.t_camera.replace(tzinfo=UTC)
-        when -= timedelta() if own_clock or offset is None else offset
-        who = info.model or info.make or "a camera that EXIF does not name"
+        t_camera = info.t_camera.replace(tzinfo=UTC)
+        t_camera -= timedelta() if own_clock or offset is None else offset
+        camera = info.model or info.make or "a camera that EXIF does not name"
         # BodySerialNumber (EXIF 2.3) distinguishes two bodies of one model.
         serial = text_of(tags_of(path), 42033)
-        frames.append(CardFrame(path, info.exposure, when, offset_s, who, serial))
+        frames.append(CardFrame(path, info.exposure, t_camera, offset_s, camera, serial))
     return frames, left_out
 
 
 def without_edited(
     frames: Sequence[CardFrame], size_px: tuple[int, int]
 ) -> tuple[list[CardFrame], list[str]]:
-    """Return the frames as the camera wrote them, and notes on copies and other sizes.
+    """Return the frames that the camera wrote, and notes on copies and on pictures of other sizes.
 
     A copy, edited or not, has the time and exposure of a frame, but a rarer or longer form of name
-    (IMG_0003_edit.JPG), or the same name in another folder. size_px : width and
-    height of the camera's frames by its profile; if no JPEG has it, the commonest size counts.
+    (IMG_0003_edit.JPG), or the same name in another folder. size_px: width and height of the
+    camera's frames by its profile; if no JPEG has it, the most frequent size counts.
     """
-    sizes = {f.path: jpeg_size(f.path) for f in frames if is_jpeg(f.path)}
-    common = Counter(sizes.values())
-    size = size_px if size_px in common else max(common, key=lambda s: common[s], default=size_px)
-    other_size = {path for path, its in sizes.items() if its not in (size, (0, 0))}
-    full = [frame for frame in frames if frame.path not in other_size]
+    sizes = {frame.path: jpeg_size(frame.path) for frame in frames if is_jpeg(frame.path)}
+    if sizes and size_px not in sizes.values():
+        size_px, _ = Counter(sizes.values()).most_common(1)[0]
+    resized = {path for path, size in sizes.items() if size not in (size_px, (0, 0))}
+    full = [frame for frame in frames if frame.path not in resized]
     counts = Counter(_name_pattern(frame.path) for frame in full)
-    rank = {frame.path: (counts[f := _name_pattern(frame.path)], -len(f)) for frame in full}
-    alike: dict[tuple[datetime, Exposure], list[CardFrame]] = {}
+    # The frame that the camera wrote has the most frequent form of name, then the shortest.
+    rank = {frame.path: (counts[p := _name_pattern(frame.path)], -len(p)) for frame in full}
+    same_shots: dict[tuple[datetime, Exposure], list[CardFrame]] = {}
     for frame in full:
-        key = (frame.t_camera.replace(microsecond=0), frame.exposure)
-        alike.setdefault(key, []).append(frame)
-    edited: set[Path] = set()
-    for same in (group for group in alike.values() if len(group) > 1):
+        shot = (frame.t_camera.replace(microsecond=0), frame.exposure)
+        same_shots.setdefault(shot, []).append(frame)
+    copies: set[Path] = set()
+    for same in (group for group in same_shots.values() if len(group) > 1):
         best = max(rank[frame.path] for frame in same)
-        usual = [frame for frame in same if rank[frame.path] == best]
+        originals = [frame for frame in same if rank[frame.path] == best]
         # Two files of one name in two folders: the camera's own folder is below DCIM (DCF 2.0).
-        usual.sort(key=lambda f: ("DCIM" not in f.path.parts, len(f.path.parts), f.path))
-        first = {frame.path.stem: frame for frame in reversed(usual)}
-        edited |= {f.path for f in same if first.get(f.path.stem) is not f}
-    what = f"not the size of the camera's frames, {size[0]} x {size[1]}"
-    notes = _note(sorted(other_size), what) + _note(sorted(edited), "a copy of another frame")
-    return [frame for frame in full if frame.path not in edited], notes
+        originals.sort(key=lambda f: ("DCIM" not in f.path.parts, len(f.path.parts), f.path))
+        first_of_name = {frame.path.stem: frame for frame in reversed(originals)}
+        copies |= {f.path for f in same if first_of_name.get(f.path.stem) is not f}
+    width, height = size_px
+    notes = _note(sorted(resized), f"not the size of the camera's frames, {width} x {height}")
+    notes += _note(sorted(copies), "a copy of another frame")
+    return [frame for frame in full if frame.path not in copies], notes
 
 
 def _name_pattern(path: Path) -> str:
@@ -378,6 +391,7 @@ def _name_pattern(path: Path) -> str:
 
 
 def _note(paths: Sequence[Path], what: str) -> list[str]:
+    """Return one note that `what` is true of these files; no note without a file."""
     return [f"{listed(paths, 1)}: {what}"] if paths else []
 
 
@@ -386,16 +400,16 @@ def of_session_camera(
 ) -> tuple[list[CardFrame], list[str]]:
     """Return the frames of the session's camera in one format, and a note on each other camera.
 
-    body: of the profile. The session's camera is the one that it names, else the one with most
-    frames: frames of two cameras never form a bracket. If it has raw and JPEG frames, those of the
-    profile's kind are returned, and the other ones are skipped without a note.
+    body: of the profile. The session's camera is that of the profile's model, else the one with the
+    most frames: frames of two cameras never form a bracket. If it has raw and JPEG frames, those of
+    the profile's kind are returned, and the other ones are skipped without a note.
     """
-    count = Counter((frame.camera, frame.serial) for frame in frames)
-    order = {who: (not same_model(who[0], body.model), -count[who]) for who in count}
-    ours = min(order, key=order.__getitem__, default=("", ""))
-    ending = f"the session's camera is {' '.join(ours).strip()}"
-    others = [(" ".join(who).strip(), number) for who, number in count.items() if who != ours]
-    notes = [f"{number} frames of {who}: {ending}" for who, number in others]
-    mine = [frame for frame in frames if (frame.camera, frame.serial) == ours]
-    of_kind = [frame for frame in mine if is_jpeg(frame.path) == (body.kind == "jpeg")]
-    return of_kind or mine, notes
+    counts = Counter((frame.camera, frame.serial) for frame in frames)  # by model and serial number
+    order = {who: (not same_model(who[0], body.model), -counts[who]) for who in counts}
+    own = min(order, key=order.__getitem__, default=("", ""))
+    ours = f"the session's camera is {' '.join(own).strip()}"
+    others = [(" ".join(who).strip(), count) for who, count in counts.items() if who != own]
+    notes = [f"{count} frames of {name}: {ours}" for name, count in others]
+    own_frames = [frame for frame in frames if (frame.camera, frame.serial) == own]
+    of_kind = [frame for frame in own_frames if is_jpeg(frame.path) == (body.kind == "jpeg")]
+    return of_kind or own_frames, notes

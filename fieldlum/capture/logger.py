@@ -20,23 +20,19 @@ _REPORTED_AN_HOUR = 20
 
 
 class Logger:
-    """Reads a pyranometer every `every_s` seconds and writes the rows.
+    """Reads a pyranometer every `every_s` seconds and writes each reading as a row.
 
-    It has its own thread (`start`), or the capture's loop calls `poll_if_due`. last: newest valid
-    reading, or None.
+    It has its own thread (`start`), or the capture's loop calls `poll_if_due`. keeper: holds the
+    pyranometer; recorder: writes the rows; last: newest valid reading, or None.
     """
 
     def __init__(
         self, keeper: Keeper[Pyranometer], recorder: Recorder, clock: SteadyClock, every_s: float
     ) -> None:
-        """Prepare a logger that polls a pyranometer every `every_s` seconds; `start` starts it.
-
-        keeper: holds the device; recorder: writes the samples.
-        """
         self.keeper, self.every_s = keeper, every_s
         self._recorder, self._clock = recorder, clock
         self._due = float("-inf")  # boot time of the next poll [s]
-        self._failed = 0  # polls without an answer since the last one
+        self._failures = 0  # polls in sequence without a valid answer
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self.last: IrradianceSample | None = None
@@ -50,38 +46,39 @@ class Logger:
         device = self.keeper.get()
         if device is None:
             return None
-        asked = self._clock.now()
+        asked_utc = self._clock.now()
         try:
             sample = self.keeper.call(lambda d: d.read())
         except Exception as error:  # a driver can raise anything; the log must continue
-            self._failed += 1
-            if self.keeper.state != "lost":  # each failed reading of a lost one is not reported
-                self._tell_bad(error_text(error))
-            if self._failed >= 3:  # the port is opened again
-                self._failed = 0
+            self._failures += 1
+            if self.keeper.state != "lost":  # the loss is already in the journal
+                self._journal_bad_reading(error_text(error))
+            if self._failures >= 3:  # the port is opened again
+                self._failures = 0
                 self.keeper.mark_lost(error)
             return None
         finally:
             self._journal_refused(device)
-        self._failed = 0
-        # Steady time: neither the instrument's nor that of a clock that was stepped.
-        sample = replace(sample, t_utc=asked)
+        self._failures = 0
+        # The steady time, not the instrument's, which may be wrong.
+        sample = replace(sample, t_utc=asked_utc)
         self._recorder.sample(sample)
         self.last = sample
         return sample
 
     def _journal_refused(self, device: Pyranometer) -> None:
-        """Journal rejected lines as received; above `_REPORTED_AN_HOUR`, only their number."""
+        """Journal the lines that the driver rejected; above 20 in an hour, only their number."""
         lines, hour = device.refused(), int(self._clock.boottime() // 3600)
         if hour != self._hour:
             if self._refused > _REPORTED_AN_HOUR:
-                self._tell_bad(f"and {self._refused - _REPORTED_AN_HOUR} more lines in that hour")
+                more = self._refused - _REPORTED_AN_HOUR
+                self._journal_bad_reading(f"and {more} more lines in that hour")
             self._hour, self._refused = hour, 0
         for line in lines[: max(0, _REPORTED_AN_HOUR - self._refused)]:
-            self._tell_bad(line[:600])
+            self._journal_bad_reading(line[:600])
         self._refused += len(lines)
 
-    def _tell_bad(self, why: str) -> None:
+    def _journal_bad_reading(self, why: str) -> None:
         self._recorder.write_event("bad-reading", device=self.keeper.name, why=why)
 
     @property
@@ -91,11 +88,10 @@ class Logger:
 
     def poll_if_due(self) -> None:
         """Poll if the time has come; skip polls that were missed while the computer slept."""
-        now = self._clock.boottime()
-        if now >= self._due:
-            # Keep to the schedule of polls.
-            kept = self._due + self.every_s
-            self._due = kept if kept > now else now + self.every_s
+        now_s = self._clock.boottime()
+        if now_s >= self._due:
+            next_s = self._due + self.every_s  # not from now: the polls would drift
+            self._due = next_s if next_s > now_s else now_s + self.every_s
             self.poll()
 
     def start(self) -> None:
@@ -113,7 +109,7 @@ class Logger:
             # one is reported once, otherwise it would fill the disk.
             except Exception as error:
                 if (why := error_text(error)) != reported:
-                    self._tell_bad(why)
+                    self._journal_bad_reading(why)
                 reported = why
             self._stop.wait(min(self.due_in_s, 1.0) or 0.01)
 
@@ -134,11 +130,11 @@ def log(
     rows: int | None,
     say: Callable[[str], None],
 ) -> int:
-    """Log irradiance without a camera until `rows` are written or the process is stopped.
+    """Log irradiance without a camera until `rows` rows are written; return their number.
 
-    uri: of the pyranometer; rows: None for no limit; every_s: time between readings [s]; say:
-    called with notes for the user. Return the number of rows written. Raises the error of opening
-    the instrument at the start, InputError if another process logs into this session.
+    uri: of the pyranometer; rows: None to log until the process is stopped; every_s: time between
+    readings [s]; say: called with notes for the user. Raises the error of opening the instrument at
+    the start, InputError if another process logs into this session.
     """
     steady = SteadyClock(clock)
     opener = partial(open_pyranometer, uri, clock=clock, session=session)

@@ -28,21 +28,22 @@ def import_rows(
     columns: Mapping[str, str] | None = None,
     sensitivities: Mapping[str, float] | None = None,
 ) -> Report:
-    """Add the rows of a logger's file to the day files, except those whose time is there already.
+    """Add the rows of a logger's file to the day files; return how many were added and removed.
 
-    Rows that an earlier import of this file name read with another clock or other columns are
-    removed. utc_offset_s: the logger's clock minus UTC [s], if the file does not state it. columns:
-    name of the column for each quantity, if it is unusual. sensitivities: of pyranometers whose
-    column is a voltage, uV per W/m2. Raises InputError for a file that cannot be read or follows
-    summer time, or if another process logs into the session.
+    Rows whose time the day files already have are not added. Rows that an earlier import of a file
+    of this name read with another clock or other columns are removed. utc_offset_s: the logger's
+    clock minus UTC [s], if the file does not state it. columns: name of the column for each
+    quantity, if it is unusual. sensitivities: of pyranometers whose column is a voltage, uV per
+    W/m2. Raises InputError for a file that cannot be read or follows summer time, or if another
+    process logs into the session.
     """
-    stated = {"utc_offset_s": utc_offset_s, "columns": columns, "sensitivities": sensitivities}
-    how = {name: value for name, value in stated.items() if value is not None}
-    table = cast("LoggerFileTable", {"file": path.name, **how})
+    settings = {"utc_offset_s": utc_offset_s, "columns": columns, "sensitivities": sensitivities}
+    stated = {name: value for name, value in settings.items() if value is not None}
+    table = cast("LoggerFileTable", {"file": path.name, **stated})
     logger_file = _read_as(path, table)
     if utc_offset_s is not None:
-        clock = [s.t_utc + timedelta(seconds=utc_offset_s) for s in logger_file.samples]
-        _check_civil_time(path, clock, ZoneInfo(session.site_file().site.timezone))
+        times = [s.t_utc + timedelta(seconds=utc_offset_s) for s in logger_file.samples]
+        _check_civil_time(path, times, ZoneInfo(session.site_file().site.timezone))
     before = session.table().get("logger_files", [])
     withdrawn = 0
     with sole_user(session, "log"):
@@ -53,51 +54,55 @@ def import_rows(
         added = add_samples(session, logger_file.samples)
     if table not in before:
         update_session(session, {"logger_files": [*before, table]})
-    left_out, notes = (
-        tuple(f"{path}: {text}" for text in f) for f in (logger_file.left_out, logger_file.notes)
-    )
+    left_out = tuple(f"{path}: {text}" for text in logger_file.left_out)
+    notes = tuple(f"{path}: {text}" for text in logger_file.notes)
     return Report(rows=added, withdrawn=withdrawn, left_out=left_out, notes=notes)
 
 
-def _check_civil_time(path: Path, clock: Sequence[datetime], zone: ZoneInfo) -> None:
-    """Raise InputError for a clock that leaps over the hour that begins summer time in `zone`.
+def _check_civil_time(path: Path, times: Sequence[datetime], zone: ZoneInfo) -> None:
+    """Raise InputError if the logger's clock skips the hour that begins summer time in `zone`.
 
-    clock: the rows' times, without a zone. The end of summer time, when a clock goes back, is found
-    in any zone by `read_logger_file`.
+    times: the rows' times by the logger's clock, without a zone. The end of summer time, when a
+    clock goes back, is detected in any zone by `read_logger_file`.
     """
-    steps = [later - earlier for earlier, later in pairwise(clock)]
-    usual = sorted(steps)[len(steps) // 2] if steps else timedelta()
-    for a, step in ((a, step) for a, step in zip(clock, steps, strict=False) if step > usual):
-        before, after = (t.replace(tzinfo=zone).utcoffset() for t in (a, a + step))
+    steps = [later - earlier for earlier, later in pairwise(times)]
+    usual = sorted(steps)[len(steps) // 2] if steps else timedelta()  # median
+    for t, step in zip(times, steps, strict=False):
+        if step <= usual:
+            continue
+        before, after = (moment.replace(tzinfo=zone).utcoffset() for moment in (t, t + step))
         leap = (after or usual) - (before or usual)
         if leap > timedelta() and abs(step - usual - leap) < usual / 2:
-            found = f"the clock leaps from {a:%Y-%m-%d %H:%M} to {a + step:%H:%M}"
+            found = f"the clock leaps from {t:%Y-%m-%d %H:%M} to {t + step:%H:%M}"
             found += f", as at the beginning of summer time in {zone.key}"
             raise InputError(path, found, "one clock in all rows", "write standard time")
 
 
 def _read_as(path: Path, table: LoggerFileTable) -> LoggerFile:
-    """Read a logger's file in a stated way. Raises InputError for a file that cannot be read."""
+    """Return a logger's file, read with the clock and columns of `table`.
+
+    Raises InputError for a file that cannot be read.
+    """
     offset_s = table.get("utc_offset_s")
     offset = None if offset_s is None else timedelta(seconds=offset_s)
     return read_logger_file(path, offset, table.get("columns"), table.get("sensitivities"))
 
 
 def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Append the rows whose time is in no day file yet; return their number.
+    """Append the readings whose time is in no day file yet; return their number.
 
-    Of equal rows in sequence, one is appended; different rows of the same time all are.
+    Of equal readings in sequence, one is appended; different readings of the same time all are.
     """
-    wanted = sorted(samples, key=lambda s: s.t_utc)
+    ordered = sorted(samples, key=lambda s: s.t_utc)
     stored_utc: set[datetime] = set()
-    days = {s.t_utc.strftime("%Y-%m-%d") for s in wanted}
+    days = {s.t_utc.strftime("%Y-%m-%d") for s in ordered}
     for path in day_files(session):
         if path.stem in days:
             stored_utc |= {s.t_utc for s in read_day(path)[0]}
     added, last = 0, None
     with closing(DayFiles(session, flush=False)) as log:
-        for sample in wanted:
-            # a table that contains a copy of itself
+        for sample in ordered:
+            # Equal readings come from a table that contains a copy of itself.
             if sample.t_utc not in stored_utc and sample != last:
                 log.append(sample)
                 added += 1
@@ -108,10 +113,9 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
 def remove_rows(session: Session, samples: Iterable[IrradianceSample]) -> int:
     """Remove the rows with the times and raw texts of `samples` from the day files.
 
-    Return their number; samples without such a row are ignored. A changed day file's earlier
-    version remains in irradiance/withdrawn/. If a row was removed, clean.csv is deleted too: rows
-    that are imported again with another clock can leave the day file's length as it was, and only
-    another length causes a new clean.csv.
+    Return the number of removed rows; samples without such a row are ignored. A changed day file's
+    earlier version remains in irradiance/withdrawn/. If a row was removed, clean.csv, which was
+    computed from it, is deleted too; `pair` writes it again.
     """
     removed = {_key(sample) for sample in samples}
     count = 0
@@ -134,4 +138,5 @@ def remove_rows(session: Session, samples: Iterable[IrradianceSample]) -> int:
 
 
 def _key(sample: IrradianceSample) -> tuple[str, str]:
+    """Return the time and the raw text of a reading, which identify its row."""
     return utc_text(sample.t_utc), sample.raw

@@ -18,8 +18,9 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, SiteFile, Slot, utc_text
 from fieldlum.optics.exposure import same_exposure
 
-# Each limit is chosen between the two cases that it must separate.
-WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour
+# Longest time between a slot and its bracket. Chosen: people start brackets minutes early or late,
+# and slots are an hour apart.
+WITHIN_S = 1200.0
 _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (IANA tz database)
 
 
@@ -27,9 +28,9 @@ _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (
 class CardFrame:
     """A frame as EXIF describes it.
 
-    t_camera: the camera's clock, read as if it were UTC; with a known exif_offset_s it is UTC,
-    unless the user states the clock's offset. exif_offset_s: the clock minus UTC [s], if EXIF
-    states it. camera: model; serial: of the body, "" if EXIF has none.
+    t_camera: time that the camera's clock showed, read as if it were UTC; if EXIF states the
+    clock's offset and the user does not, it is UTC. exif_offset_s: the clock minus UTC [s] by EXIF,
+    None if absent. camera: model; serial: of the body, "" if EXIF has none.
     """
 
     path: Path
@@ -56,8 +57,8 @@ class Group:
 class Offset:
     """The camera's clock minus UTC [s], and how it was determined.
 
-    seconds: how far the frames' t_camera is ahead of UTC. exif_s: the offsets in EXIF, which
-    t_camera already includes.
+    seconds: `CardFrame.t_camera` minus UTC. exif_s: offsets in EXIF [s], which are already
+    subtracted from t_camera.
     """
 
     seconds: float
@@ -106,7 +107,7 @@ class Report:
 def group_frames(
     frames: Sequence[CardFrame], pattern: Sequence[Exposure] = (), headings: int = 1
 ) -> list[Group]:
-    """Group frames into brackets, in order of time.
+    """Group a card's frames into brackets, in order of time.
 
     A new bracket begins after a pause, or with an exposure that the bracket already contains. The
     pause is over ten times this card's usual time between frames (60 times with several headings),
@@ -116,7 +117,7 @@ def group_frames(
     which EXIF does not record) is expected twice. headings: number of headings of a turned head;
     each exposure is expected once for each.
     """
-    # within a second by the camera's file number, the last four digits of the name
+    # Frames of one second are in order of the camera's file number, four digits at the name's end.
     ordered = sorted(frames, key=lambda f: (f.t_camera, f.path.stem[-4:], f.path.name))
     gaps_s = [
         (b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s
@@ -128,8 +129,8 @@ def group_frames(
     for frame, gap_s in zip(ordered, (0.0, *gaps_s), strict=False):
         if groups:
             present = sum(same_exposure(f.exposure, frame.exposure) for f in groups[-1])
-            often = max(1, sum(same_exposure(e, frame.exposure) for e in pattern)) * headings
-            if gap_s <= pause_s and present < often:
+            expected = max(1, sum(same_exposure(e, frame.exposure) for e in pattern)) * headings
+            if gap_s <= pause_s and present < expected:
                 groups[-1].append(frame)
                 continue
         groups.append([frame])
@@ -137,20 +138,21 @@ def group_frames(
 
 
 def split_at_gaps(groups: Sequence[Group], gap_s: float = 5 * 86400.0) -> list[list[Group]]:
-    """Split brackets, in order of time, between two that begin at least `gap_s` apart.
+    """Split brackets where one begins at least `gap_s` after the previous one; return the parts.
 
-    By default they are split into campaigns, between which the camera's clock may have been set.
+    groups: in order of time. By default, five days separate campaigns, between which the camera's
+    clock may have been set.
     """
     times_s = [group.t_camera.timestamp() for group in groups]
     starts = np.flatnonzero(np.diff(times_s, prepend=-np.inf) >= gap_s).tolist()
-    return [list(groups[a:b]) for a, b in pairwise([*starts, len(groups)])]
+    return [list(groups[start:end]) for start, end in pairwise([*starts, len(groups)])]
 
 
 def planned_indices(group: Group, planned: Sequence[Exposure]) -> list[int | None]:
-    """Return which planned exposure each frame of a bracket is, as an index; None for another.
+    """Return the index in `planned` of each frame's exposure; None for one that is not planned.
 
-    EXIF states neither filter nor heading, so of equal exposures the first one is used first; a
-    frame too many is the last of them.
+    EXIF states neither filter nor heading: frames of equal exposures get these indices in order,
+    and surplus frames get the last of them.
     """
     indices: list[int | None] = []
     for frame in group.frames:
@@ -160,29 +162,29 @@ def planned_indices(group: Group, planned: Sequence[Exposure]) -> list[int | Non
     return indices
 
 
-def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
-    """Return by how much each bracket starts after its nearest slot, [n] s; negative if before.
+def delays_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
+    """Return the start of each bracket minus that of its nearest slot, [n] s; negative if early.
 
-    offset_s: the camera's clock minus UTC, which is subtracted from the bracket's time. slots: at
-    least one.
+    groups: n brackets; slots: at least one; offset_s: the camera's clock minus UTC [s].
     """
-    starts = np.array([slot.t_utc.timestamp() for slot in slots])
-    times = np.array([g.t_camera.timestamp() for g in groups]) - offset_s
-    return times - starts[np.abs(times[:, None] - starts[None, :]).argmin(axis=1)]
+    slots_s = np.array([slot.t_utc.timestamp() for slot in slots])
+    starts_s = np.array([group.t_camera.timestamp() for group in groups]) - offset_s
+    return starts_s - slots_s[np.abs(starts_s[:, None] - slots_s[None, :]).argmin(axis=1)]
 
 
 def fitting_offsets(groups: Sequence[Group], slots: Sequence[Slot]) -> list[float]:
-    """Return the clock offsets [s] with which the largest number of brackets is near slots.
+    """Return the offsets of the camera's clock [s] with which most brackets are near slots.
 
     Near means within 7.5 minutes. Offsets, clock minus UTC, are multiples of a quarter of an hour,
-    from -12 to 14 hours. The list is empty if no bracket is near a slot with any of them.
+    from -12 to 14 hours; all that fit equally well are returned. The list is empty if no bracket is
+    near a slot with any of them.
     """
     if not groups or not slots:
         return []
-    candidates = _QUARTER_S * np.arange(-12 * 4, 14 * 4 + 1)
-    late = np.abs([late_s(groups, slots, c) for c in candidates])  # [candidates, n]
-    hits = np.sum(late <= _QUARTER_S / 2, axis=1)
-    return [float(c) for c in candidates[hits == hits.max()]] if hits.max() > 0 else []
+    offsets_s = _QUARTER_S * np.arange(-12 * 4, 14 * 4 + 1)
+    distances_s = np.abs([delays_s(groups, slots, o) for o in offsets_s])  # [offsets, brackets]
+    counts = np.sum(distances_s <= _QUARTER_S / 2, axis=1)  # [offsets]
+    return offsets_s[counts == counts.max()].tolist() if counts.max() > 0 else []
 
 
 def find_offset(
@@ -190,53 +192,56 @@ def find_offset(
 ) -> Offset | None:
     """Return the camera's clock minus UTC, fitted to the plan.
 
-    groups: the card's brackets; slots: of the plan; expected_s: likely offsets, most likely first:
-    the first that fits is used if several offsets fit equally well. Return None if no offset fits,
-    or if several fit and none of them is expected.
+    groups: the card's brackets; slots: of the plan; expected_s: likely offsets [s], most likely
+    first: the first that fits is used if several offsets fit equally well. Return None if no offset
+    fits, or if several fit and none of them is expected.
     """
-    among = fitting_offsets(groups, slots)
-    if len(among) == 1:
-        return Offset(among[0], "fitted to the plan")
-    chosen = next((e for e in expected_s if e in among), None)
-    if chosen is None:
+    fitting_s = fitting_offsets(groups, slots)
+    if len(fitting_s) == 1:
+        return Offset(fitting_s[0], "fitted to the plan")
+    chosen_s = next((offset_s for offset_s in expected_s if offset_s in fitting_s), None)
+    if chosen_s is None:
         return None
-    what = "civil time of the place" if chosen else "UTC"
+    what = "civil time of the place" if chosen_s else "UTC"
     how = f"assumed to be {what}; other offsets would fit the plan too: if you know the offset, "
-    return Offset(chosen, f"{how}state it with --utc-offset")
+    return Offset(chosen_s, f"{how}state it with --utc-offset")
 
 
 def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> Offset:
-    """Refine the offset by the median delay, if three or more brackets start equally early or late.
+    """Return the offset, corrected by the brackets' median delay if their delays agree.
 
-    groups, slots: as for `find_offset`. Only brackets within 20 minutes of a slot count. Their
-    delays must agree within 5 s (median deviation), and the median must be 1 s or more; else the
-    offset is returned unchanged. Such brackets were started by a timer, so that their common delay
-    is an error of the camera's clock.
+    Brackets that all start equally early or late were started by a timer, so that their delay is an
+    error of the camera's clock. groups, slots: as for `find_offset`. Only brackets within 20
+    minutes of a slot count. The offset is returned unchanged if these are fewer than three, if
+    their median delay is under 1 s, or if the median deviation from it is over 5 s.
     """
-    late = late_s(groups, slots, offset.seconds)
-    near = late[np.abs(late) <= WITHIN_S]
-    middle = float(np.median(near)) if len(near) >= 3 else 0.0
-    if abs(middle) < 1.0 or float(np.median(np.abs(near - middle))) > 5.0:
+    all_s = delays_s(groups, slots, offset.seconds)
+    near_s = all_s[np.abs(all_s) <= WITHIN_S]
+    median_s = float(np.median(near_s)) if len(near_s) >= 3 else 0.0
+    if abs(median_s) < 1.0 or float(np.median(np.abs(near_s - median_s))) > 5.0:
         return offset
-    how = f"{offset.how}, corrected by {middle:+.0f} s, the median of {len(near)} brackets"
-    return replace(offset, seconds=offset.seconds + middle, how=how)
+    how = f"{offset.how}, corrected by {median_s:+.0f} s, the median of {len(near_s)} brackets"
+    return replace(offset, seconds=offset.seconds + median_s, how=how)
 
 
 def match_groups(
     clocks: Sequence[tuple[Sequence[Group], Offset]], slots: Sequence[Slot]
 ) -> tuple[list[Match], list[tuple[Group, str]]]:
-    """Match brackets to the nearest slot within 20 minutes; return matches, and why others do not.
+    """Match brackets to the nearest slot within 20 minutes.
 
-    clocks: brackets with the offset of their clock. Matches are in order of the slots. A bracket
-    must have two of the slot's exposures, or its only one. Of several brackets at one slot, the one
-    with most of the slot's exposures is matched, then the nearest.
+    Return the matches in order of the slots, and each other bracket with the reason. clocks:
+    brackets with the offset of their clock. A bracket must have two of the slot's exposures, or its
+    only one. Of several brackets at one slot, that with the most of the slot's exposures is
+    matched; of equal ones the nearest.
     """
 
-    def matching(group: Group, slot: Slot) -> int:
+    def count_planned(group: Group, slot: Slot) -> int:
+        """Return how many of the slot's exposures a bracket has."""
         return len({*planned_indices(group, slot.exposures)} - {None})
 
     def misfit(match: Match) -> tuple[int, float]:
-        return -matching(match.group, match.slot), abs(match.late_s)
+        """Return a key that is smallest for the best of several brackets at one slot."""
+        return -count_planned(match.group, match.slot), abs(match.late_s)
 
     matches: dict[str, Match] = {}
     others: list[tuple[Group, str]] = []
@@ -247,7 +252,7 @@ def match_groups(
         if slot is None or abs((t_utc - slot.t_utc).total_seconds()) > WITHIN_S:
             others.append((group, f"no slot within {WITHIN_S / 60:.0f} min {when}"))
             continue
-        if matching(group, slot) < min(2, len(slot.exposures)):
+        if count_planned(group, slot) < min(2, len(slot.exposures)):
             others.append((group, f"at most one of its exposures is in the plan {when}"))
             continue
         match = Match(slot, group, (t_utc - slot.t_utc).total_seconds(), offset)
@@ -258,7 +263,7 @@ def match_groups(
 
 
 def true_time(t_camera: datetime, offset: Offset) -> datetime:
-    """Return a time by the camera's clock as UTC, with the clock's offset subtracted."""
+    """Return a time of the camera's clock in UTC; offset: of that clock."""
     return (t_camera - timedelta(seconds=offset.seconds)).astimezone(UTC)
 
 
@@ -269,59 +274,63 @@ def true_time(t_camera: datetime, offset: Offset) -> datetime:
 # usually set between two days.
 _NIGHT_S = 4 * 3600.0
 _HOURS = range(-26, 27)  # civil time zones span UTC-12 to UTC+14: two of them differ by 26 h
-# A change of the clock counts only if it brings this many more brackets to slots. Not measured: two
-# brackets can be early or late by chance.
+# A change of the clock counts only if it brings this many more brackets near slots. Not measured:
+# two brackets can be early or late by chance.
 _EVIDENCE = 3
-# By as much as civil time, and near its change, people set clocks: one bracket is enough. Chosen.
+# When civil time changes, people set clocks by as much: then one bracket is enough. Chosen.
 _CIVIL_EVIDENCE = 0.5
-_CIVIL_NEAR = timedelta(hours=36)  # a day, and half a day for a clock that may be UTC
+_CIVIL_NEAR = timedelta(hours=36)  # people set it within a day; half a day if the clock shows UTC
 
 
 def clock_offset(
     groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile, stated_s: float | None
 ) -> Offset:
-    """Return the camera's clock minus UTC: as stated, else from EXIF, else fitted to the plan.
+    """Return the camera's clock minus UTC: as the user states it, else from EXIF, else fitted.
 
-    groups: the card's brackets in order of time; slots: of the plan; stated_s: the offset that the
-    user states [s], None if none. A common delay of brackets that a timer started is added. Raises
-    InputError if the fit finds no offset, or several of which none is UTC or the place's civil
-    time.
+    groups: the card's brackets in order of time; slots: of the plan, to which the offset is fitted;
+    stated_s: the offset that the user states [s], None if none. The result is refined by
+    `refine_offset`. Raises InputError if no offset fits, or if several do of which none is UTC or
+    the place's civil time.
     """
     if stated_s is not None:
-        start = Offset(stated_s, "--utc-offset")
+        offset = Offset(stated_s, "--utc-offset")
     elif states_utc(groups):
-        start = Offset(0.0, "stated in EXIF", _exif_offsets_s(groups))
+        offset = Offset(0.0, "stated in EXIF", _exif_offsets_s(groups))
     else:
-        start = find_offset(groups, slots, _expected_s(groups, slots, setup))
-    if start is not None:
-        return refine_offset(groups, slots, start)
+        offset = find_offset(groups, slots, _expected_s(groups, slots, setup))
+    if offset is not None:
+        return refine_offset(groups, slots, offset)
     if fitting_offsets(groups, slots):
         found = "several UTC offsets of the camera's clock fit the plan equally well"
         remedy = "state the camera's offset, for example --utc-offset -08:00"
         raise InputError("the card", found, "one offset that fits best", remedy)
     first, last = groups[0].t_camera, groups[-1].t_camera
-    near = min((slot.t_utc for slot in slots), key=lambda t: abs(t - first), default=None)
+    nearest = min((slot.t_utc for slot in slots), key=lambda t: abs(t - first), default=None)
     span = f"the brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M}"
     found = f"{span} by the camera's clock match no slot of the plan"
-    expected = f"brackets near slots; that nearest to the first bracket is {str(near)[:16]} UTC"
+    expected = f"brackets near slots; that nearest to the first bracket is {str(nearest)[:16]} UTC"
     remedy = "check that this is the right card; correct a wrong date, for example by one day: "
     remedy += 'exiftool -AllDates+="0:0:1 0:0:0" FOLDER'
     raise InputError("the card", found, expected, remedy)
 
 
 def states_utc(groups: Sequence[Group]) -> bool:
-    """Return whether EXIF states a UTC offset for every frame."""
-    return all(f.exif_offset_s is not None for group in groups for f in group.frames)
+    """Return whether EXIF states the clock's offset from UTC for every frame."""
+    return all(frame.exif_offset_s is not None for group in groups for frame in group.frames)
 
 
 def _exif_offsets_s(groups: Sequence[Group]) -> tuple[float, ...]:
-    stated = {f.exif_offset_s for group in groups for f in group.frames}
+    """Return the different offsets from UTC [s] that EXIF states, smallest first."""
+    stated = {frame.exif_offset_s for group in groups for frame in group.frames}
     return tuple(sorted(offset_s for offset_s in stated if offset_s is not None))
 
 
 def exif_note(groups: Sequence[Group], stated_s: float | None) -> str:
-    """Return a note if EXIF's offset differs from `stated_s` [s] by over a minute, else ""."""
-    offsets_s = () if stated_s is None else _exif_offsets_s(groups)
+    """Return a note if EXIF's offset differs by over a minute from that which the user states.
+
+    stated_s: the user's offset [s], None if none. The text is "" without such a difference.
+    """
+    offsets_s = _exif_offsets_s(groups)
     if stated_s is None or all(abs(offset_s - stated_s) <= 60.0 for offset_s in offsets_s):
         return ""
     exif = f"EXIF states UTC {offsets_text(offsets_s)}"
@@ -341,73 +350,76 @@ def offsets_text(offsets_s: Sequence[float]) -> str:
 
 
 def _near_slots(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> int:
-    """Return the number of brackets that are near slots if the clock has this offset."""
-    return int(np.sum(np.abs(late_s(groups, slots, offset_s)) <= WITHIN_S))
+    """Return how many brackets are within 20 minutes of slots if the clock has this offset [s]."""
+    return int(np.sum(np.abs(delays_s(groups, slots, offset_s)) <= WITHIN_S))
 
 
 def _expected_s(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile) -> list[float]:
     """Return the likely values of the camera's clock minus UTC [s], most likely first.
 
-    These are the UTC offsets of the place on the days of the brackets, then those of the plan, then
-    zero.
+    These are the UTC offsets of the place on the days of the brackets, then those on all days of
+    the plan, then zero.
     """
     zone = ZoneInfo(setup.site.timezone)
     days = {group.t_camera.date() for group in groups}
     offsets = [(slot, slot.t_utc.astimezone(zone).utcoffset() or timedelta()) for slot in slots]
-    then = Counter(offset for slot, offset in offsets if slot.t_utc.date() in days)
-    ever = Counter(offset for _, offset in offsets)
-    likely = [offset for offset, _ in (*then.most_common(), *ever.most_common())]
+    on_days = Counter(offset for slot, offset in offsets if slot.t_utc.date() in days)
+    in_plan = Counter(offset for _, offset in offsets)
+    likely = [offset for offset, _ in (*on_days.most_common(), *in_plan.most_common())]
     return [offset.total_seconds() for offset in (*likely, timedelta())]
 
 
 def clock_parts(groups: Sequence[Group], slots: Sequence[Slot], zone: str) -> list[list[Group]]:
-    """Split the brackets, in order of time, at days where the camera's clock was set by hours.
+    """Split the brackets at days on which the camera's clock was set by hours; return the parts.
 
-    An example is daylight saving time. With hourly slots such a change is hard to see: brackets
+    An example is daylight saving time. With hourly slots such a change is hard to detect: brackets
     that are an hour off match the neighbouring slots, except at the ends of a day. Return the
     fewest parts that the brackets support: each change must bring at least three more brackets near
     slots, or one if civil time in `zone` (IANA name) changed as much within 36 h and if no change
-    elsewhere brings as many. groups: not empty.
+    elsewhere brings as many. groups: in order of time, at least one.
     """
     days = split_at_gaps(groups, _NIGHT_S)
-    # The minutes of the quarter of an hour that fits all brackets best, and each full hour.
-    base = next(iter(fitting_offsets(groups, slots)), 0.0) % 3600.0
-    hits = [[_near_slots(day, slots, base + 3600.0 * hour) for hour in _HOURS] for day in days]
+    # All offsets have the minutes of the offset that fits all brackets best, and any full hours.
+    minutes_s = next(iter(fitting_offsets(groups, slots)), 0.0) % 3600.0
+    offsets_s = [minutes_s + 3600.0 * hour for hour in _HOURS]
+    near = np.array([[_near_slots(day, slots, offset_s) for offset_s in offsets_s] for day in days])
     civil_h = [
         _civil_h(after[0], zone, _CIVIL_NEAR) - _civil_h(before[-1], zone, -_CIVIL_NEAR)
         for before, after in pairwise(days)
     ]
-    paths = [_best_path(np.array(hits), changes) for changes in ([0] * len(civil_h), civil_h)]
-    path = max(paths, key=lambda path: sum(day[k] for day, k in zip(hits, path, strict=True)))
+    paths = [_best_path(near, changes) for changes in ([0] * len(civil_h), civil_h)]
+    path = max(paths, key=lambda path: near[range(len(days)), path].sum())
     starts = [k for k in range(len(days)) if k == 0 or path[k] != path[k - 1]]
-    return [list(chain(*days[a:b])) for a, b in pairwise([*starts, len(days)])]
+    return [list(chain(*days[start:end])) for start, end in pairwise([*starts, len(days)])]
 
 
 def _civil_h(group: Group, zone: str, later: timedelta) -> int:
-    """Return civil time minus UTC, in full hours, at `later` after a bracket."""
+    """Return civil time minus UTC in `zone`, in full hours, a time `later` after a bracket."""
     moment = (group.t_camera + later).astimezone(ZoneInfo(zone))
     return round((moment.utcoffset() or timedelta()) / timedelta(hours=1))
 
 
-def _best_path(hits: np.ndarray, civil_h: Sequence[int]) -> list[int]:
-    """Return the best offset of each day, as an index of hours.
+def _best_path(near: np.ndarray, civil_h: Sequence[int]) -> list[int]:
+    """Return the best clock offset of each day, as an index of hours (Viterbi's algorithm).
 
-    hits [days, hours]: numbers of brackets near slots. Their sum is maximised, minus `_EVIDENCE`
-    for each change between days, or `_CIVIL_EVIDENCE` for one that equals `civil_h` [days - 1].
+    near [days, hours]: numbers of brackets near slots. Their sum is maximised, minus `_EVIDENCE`
+    for each change between days, or `_CIVIL_EVIDENCE` for one that equals `civil_h` [days - 1], the
+    change of civil time [h].
     """
-    value, came = hits[0].astype(float), []
-    stay = np.arange(len(value))
-    for day, civil in zip(hits[1:], civil_h, strict=True):
-        best = int(np.argmax(value))
-        origin = np.where(value[best] - _EVIDENCE >= value, best, stay)
-        reached = np.maximum(value[best] - _EVIDENCE, value)
-        before = np.clip(stay - civil, 0, len(value) - 1)
-        follows = (civil != 0) & (value[before] - _CIVIL_EVIDENCE > reached)
-        came.append(np.where(follows, before, origin))
-        value = np.where(follows, value[before] - _CIVIL_EVIDENCE, reached) + day
-    path = [int(np.argmax(value))]
-    for previous in reversed(came):
-        path.append(int(previous[path[-1]]))
+    # score [hours]: the highest sum of a path that ends at each hour on the present day.
+    score, origins = near[0].astype(float), []
+    same = np.arange(len(score))
+    for of_day, civil in zip(near[1:], civil_h, strict=True):
+        best = int(np.argmax(score))
+        origin = np.where(score[best] - _EVIDENCE >= score, best, same)
+        reached = np.maximum(score[best] - _EVIDENCE, score)
+        before = np.clip(same - civil, 0, len(score) - 1)  # before the change of civil time
+        follows = (civil != 0) & (score[before] - _CIVIL_EVIDENCE > reached)
+        origins.append(np.where(follows, before, origin))
+        score = np.where(follows, score[before] - _CIVIL_EVIDENCE, reached) + of_day
+    path = [int(np.argmax(score))]
+    for origin in reversed(origins):
+        path.append(int(origin[path[-1]]))
     return path[::-1]
 
 
@@ -429,19 +441,18 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
 def offset_contradiction(
     groups: Sequence[Group], slots: Sequence[Slot], offset: Offset, zone: str
 ) -> str:
-    """Return why the plan contradicts a clock offset, or "".
+    """Return why the plan contradicts an offset of the camera's clock; "" if it does not.
 
     Two errors are detected: an offset that is wrong by full hours, up to 26 (time zone or date),
     and a clock that was set between brackets. groups: in order of time; zone: IANA name.
     """
-    shifts = [3600.0 * hour for hour in _HOURS]
-    hits = [_near_slots(groups, slots, offset.seconds + s) for s in shifts]
-    as_it_is, best = hits[shifts.index(0.0)], int(np.argmax(hits))
-    if hits[best] >= as_it_is + _EVIDENCE:
+    near = {hour: _near_slots(groups, slots, offset.seconds + 3600.0 * hour) for hour in _HOURS}
+    best_hour = max(near, key=near.__getitem__)
+    if near[best_hour] >= near[0] + _EVIDENCE:
         return (
-            f"with the offset of the camera's clock ({offset.how}), {as_it_is} of {len(groups)} "
-            f"brackets are near slots; with an offset changed by {shifts[best] / 3600:+g} h it "
-            f"would be {hits[best]}: check the camera's clock and date, and state --utc-offset"
+            f"with the offset of the camera's clock ({offset.how}), {near[0]} of {len(groups)} "
+            f"brackets are near slots; with an offset changed by {best_hour:+g} h it "
+            f"would be {near[best_hour]}: check the camera's clock and date, and state --utc-offset"
         )
     if len(parts := clock_parts(groups, slots, zone)) == 1:
         return ""

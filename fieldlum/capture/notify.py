@@ -44,7 +44,7 @@ Post = Callable[[Message], bool]
 
 
 class _Background(ABC):
-    """Works in its own thread: at once, after each `_wake`, and after the pauses of `_step`."""
+    """Calls `_step` in its own thread: at once, when `_due` is set, and after the pauses."""
 
     def __init__(self, name: str) -> None:
         self._due, self._closing = threading.Event(), False
@@ -56,7 +56,7 @@ class _Background(ABC):
         """Do the work that is due; return the longest pause after it [s], None for no limit."""
 
     def _work(self) -> None:
-        """Do steps when they are due, and a last one after `_end`; run in the thread."""
+        """Do steps when they are due, and a last one after `_end`; the thread runs this."""
         is_last = False
         while not is_last:
             self._due.clear()
@@ -66,6 +66,7 @@ class _Background(ABC):
                 self._due.wait(pause)
 
     def _end(self) -> None:
+        """Let the thread do a last step and end; return at once."""
         self._closing = True
         self._due.set()
 
@@ -73,10 +74,10 @@ class _Background(ABC):
 class Outbox(_Background):
     """Sends messages in order, in the background.
 
-    post: sends one message and returns whether it was sent. `put` returns at once, whatever the
-    network does. A message that cannot be sent is tried again after 30 s, 1 min ... 15 min, or
-    with the next one; of more than 500 waiting ones the oldest are dropped. `say` is called once
-    when sending begins to fail, and when it works again; no text contains an address.
+    post: sends one message and returns whether it was sent. say: called with a note when sending
+    begins to fail, and when it works again; no text contains an address. A message that cannot be
+    sent is tried again after 30 s, then after pauses that double up to 15 minutes, or with the next
+    one. Of more than 500 waiting messages the oldest are dropped.
     """
 
     def __init__(
@@ -93,7 +94,7 @@ class Outbox(_Background):
         self._due.set()
 
     def close(self, patience_s: float = 10.0) -> int:
-        """Send waiting messages for at most `patience_s` seconds; return how many still wait."""
+        """Send waiting messages for at most `patience_s` seconds; return how many are left."""
         self._end()
         self._thread.join(patience_s)
         return len(self._waiting)
@@ -103,20 +104,20 @@ class Outbox(_Background):
         while self._waiting:
             message = self._waiting[0]
             why = self._try(message)
-            if bool(why) != bool(self._failures):
+            if bool(why) != bool(self._failures):  # it fails for the first time, or works again
+                lost = f"note: messages cannot be sent ({why}); they wait"
                 with suppress(OSError):  # the terminal may be closed
-                    lost = f"note: messages cannot be sent ({why}); they wait"
                     self._say(lost if why else "note: messages are sent again")
             if why:
                 self._failures += 1
                 return pause_s(self._failures, self._first_pause_s, MAX_PAUSE_S)
             self._failures = 0
-            if self._waiting[0] is message:  # not dropped meanwhile
+            if self._waiting[0] is message:  # `put` did not drop it in the meantime
                 self._waiting.popleft()
         return None
 
     def _try(self, message: Message) -> str:
-        """Send a message; return "" or why it was not sent."""
+        """Send a message; return why it was not sent, "" if it was."""
         try:
             return "" if self._post(message) else "a service did not accept the message"
         except Exception as error:  # a service's client can raise anything, with the address in it
@@ -128,11 +129,11 @@ class Outbox(_Background):
 
 
 def read_targets(option: str, *, name: str = "--notify") -> tuple[str, ...]:
-    """Return the addresses in ``@FILE``.
+    """Return the addresses in the file that an option's value ``@FILE`` names.
 
-    option: value of the option `name`. A file has one address per line; empty lines and lines that
-    begin with # are skipped. Raises InputError for an option that is not ``@FILE``, and for a file
-    that cannot be read or is empty; no error contains an address.
+    option: the value; name: of the option, for errors. A file has one address per line; empty lines
+    and lines that begin with # are skipped. Raises InputError for a value that is not ``@FILE``,
+    and for a file that cannot be read or has no address; no error contains an address.
     """
     if not option.startswith("@"):
         found = "an address on the command line, where every user can see it"
@@ -150,8 +151,9 @@ def read_targets(option: str, *, name: str = "--notify") -> tuple[str, ...]:
 def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post:
     """Return a function that sends one message to all targets, and returns whether all succeeded.
 
-    Raises InputError for a target that apprise does not understand, with the target's number but
-    without its text. source: what states the targets, for errors.
+    targets: addresses as of `read_targets`; source: file or option that states them, for errors.
+    Raises InputError for a target that apprise does not understand; the error has its number, but
+    not its text, which may contain a password.
     """
     logging.getLogger("apprise").setLevel(logging.CRITICAL)  # its log lines contain addresses
     with warnings.catch_warnings():  # one of its services imports a deprecated module
@@ -161,12 +163,13 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
         sender = apprise.Apprise()
         understood = [sender.add(target) for target in targets]
     if not all(understood):
-        number = f"{understood.index(False) + 1} of {len(understood)}"
+        number = f"{understood.index(False) + 1} of {len(understood)}"  # from 1
         expected = "an address such as mailto://, ntfy:// or tgram://"
         remedy = "see apprise's documentation"
         raise InputError(source, f"apprise does not understand address {number}", expected, remedy)
 
     def post(message: Message) -> bool:
+        """Send a message to all targets; return whether all accepted it."""
         attach = str(message.picture) if message.picture and message.picture.is_file() else None
         return bool(sender.notify(title=message.title, body=message.body, attach=attach))
 
@@ -178,10 +181,10 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
 
 
 def read_address(option: str) -> str:
-    """Return the address in ``@FILE``: the first line that is neither empty nor a comment.
+    """Return the heartbeat's address: the first one in the file that ``@FILE`` names.
 
-    Raises InputError for an option that is not ``@FILE``, an unreadable file, and an address that
-    is neither http nor https or has a blank; no error contains the address.
+    option: the value ``@FILE``. Raises InputError for another value, a file that cannot be read,
+    and an address that is neither http nor https or has a blank; no error contains the address.
     """
     address = read_targets(option, name="--heartbeat")[0]
     if urlsplit(address).scheme not in ("http", "https") or " " in address:
@@ -191,15 +194,19 @@ def read_address(option: str) -> str:
 
 
 def fetch(address: str) -> None:
-    """Fetch an address and ignore the content. Raises OSError for no answer or an HTTP error."""
+    """Request an http address and ignore the answer's content.
+
+    Raises OSError without an answer within 20 s, or for an HTTP error.
+    """
     with urllib.request.urlopen(address, timeout=20.0) as answer:
         answer.read(1024)
 
 
 class Heartbeat(_Background):
-    """Fetches an address in its own thread: at once, after each `beat`, and every `every_s` s.
+    """Requests an address in its own thread: at once, after each `beat`, and every `every_s` s.
 
-    use: fetches the address; its errors are ignored.
+    A monitor at the address raises an alarm when requests stop. use: requests the address; its
+    errors are ignored.
     """
 
     def __init__(
@@ -209,14 +216,15 @@ class Heartbeat(_Background):
         super().__init__("heartbeat")
 
     def beat(self) -> None:
-        """Request that the thread fetches the address now; return at once."""
+        """Let the thread request the address now; return at once."""
         self._due.set()
 
     def close(self) -> None:
-        """Tell the thread to end; return at once."""
+        """Let the thread end; return at once."""
         self._end()
 
     def _step(self) -> float:
+        """Request the address once; return the pause until the next request [s]."""
         with suppress(Exception):  # without network or monitor, the next beat tries again
             if not self._closing:
                 self._use(self._address)
@@ -231,14 +239,14 @@ class Heartbeat(_Background):
 class Alerts:
     """Sends messages and heartbeats about a running capture.
 
-    A message means that somebody should act: faults which the capture repairs itself cause none (a
-    device that reconnects needs at most two tries of 30 s; a single missed slot can be due to a
-    slow bracket before it).
+    A message means that somebody should act. Faults that the capture corrects itself cause none: a
+    device that reconnects (two tries of at most 30 s), a single missed slot (a slow bracket before
+    it).
 
     `listen` takes journal events, `check` the capture's state; both return at once. Events come
     from the capture and from the thread that logs irradiance, so a lock guards the alerts. name,
-    timezone: of the site; send: sends a message; beat: sends a heartbeat; contact_sheet: called for
-    a daily summary, returns the picture to attach, or None.
+    timezone: of the site; send: sends a message; beat: sends a heartbeat; contact_sheet: returns
+    the picture to attach to a daily summary, or None.
     """
 
     name: str
@@ -247,16 +255,17 @@ class Alerts:
     beat: Callable[[], None] = lambda: None
     contact_sheet: Callable[[], Path | None] = lambda: None
     _lock: threading.Lock = field(default_factory=threading.Lock)
-    _away_since: dict[str, datetime] = field(default_factory=dict)
-    _misses: int = 0
-    _last: dict[str, datetime] = field(default_factory=dict)
-    _day: date | None = None
+    _away_since: dict[str, datetime] = field(default_factory=dict)  # UTC, by device
+    _misses: int = 0  # slots in sequence that gave no bracket
+    _last: dict[str, datetime] = field(default_factory=dict)  # UTC of the last message, by title
+    _day: date | None = None  # local date of the last event
     _counts: Counter[str] = field(default_factory=Counter)  # of the day's outcomes
 
     def listen(self, event: str, t_utc: datetime, fields: EventFields) -> None:
         """Send the messages that a journal event causes and, on a new day, the daily summary.
 
-        Also send a heartbeat if the event settles a slot (done, missed, aborted).
+        event, t_utc, fields: name, time and further fields of the event. Also send a heartbeat if
+        the event settles a slot (done, missed, aborted).
         """
         if event in SETTLED:
             self.beat()
@@ -298,7 +307,7 @@ class Alerts:
         """Count a settled slot; send a message for clipped frames and for two misses in a row."""
         slot, why = fields.get("slot", ""), fields.get("why", "")
         self._counts[event] += 1
-        with suppress(ValueError):
+        with suppress(ValueError):  # an id that is no time
             slot = f"{slot} ({self._local(parse_utc(slot))})"
         if event == "done":
             self._misses = 0
@@ -313,7 +322,7 @@ class Alerts:
             self._send(f"{self._misses} slots in a row gave no bracket", body)
 
     def _new_day(self, t_utc: datetime) -> None:
-        """Send the summary of the day that just ended, once."""
+        """Send the summary of the last local day once, if `t_utc` is on a later one."""
         today = t_utc.astimezone(ZoneInfo(self.timezone)).date()
         if self._day is None or today <= self._day:
             self._day = self._day or today
@@ -330,7 +339,11 @@ class Alerts:
     def _send(
         self, title: str, body: str, picture: Path | None = None, once: datetime | None = None
     ) -> None:
-        """Send a message; once: the time, for a title that is sent at most every six hours."""
+        """Send a message, with a picture if one is stated.
+
+        once: time (UTC) of a message whose title is sent at most every six hours; None for one that
+        is always sent.
+        """
         if once is not None:
             if title in self._last and once - self._last[title] < timedelta(hours=6):
                 return
@@ -338,6 +351,7 @@ class Alerts:
         self.send(Message(f"fieldlum {self.name}: {title}", body, picture))
 
     def _local(self, t_utc: datetime) -> str:
+        """Return a time as text in the site's time zone."""
         return f"{t_utc.astimezone(ZoneInfo(self.timezone)):%Y-%m-%d %H:%M}"
 
 
@@ -354,7 +368,7 @@ def open_alerts(
     *,
     with_picture: bool = False,
 ) -> Iterator[Alerts]:
-    """Yield the object that a capture calls to send messages and heartbeats; then close it.
+    """Yield the alerts of a capture in a `with` block; then send what still waits, and end.
 
     post: sends one message; None without targets. heartbeat_address: "" without a monitor. say:
     called with notes for the user's terminal. with_picture: attach the latest contact sheet to the
@@ -363,13 +377,12 @@ def open_alerts(
     site = session.site_file().site
     outbox = Outbox(post, say) if post is not None else None
     heartbeat = Heartbeat(heartbeat_address) if heartbeat_address else None
-    alerts = Alerts(
-        name=site.name,
-        timezone=site.timezone,
-        send=outbox.put if outbox else lambda message: None,
-        beat=heartbeat.beat if heartbeat else lambda: None,
-        contact_sheet=(lambda: _latest_contact_sheet(session)) if with_picture else lambda: None,
-    )
+    send: Callable[[Message], None] = outbox.put if outbox else lambda message: None
+    alerts = Alerts(name=site.name, timezone=site.timezone, send=send)
+    if heartbeat is not None:
+        alerts.beat = heartbeat.beat
+    if with_picture:
+        alerts.contact_sheet = lambda: _latest_contact_sheet(session)
     try:
         yield alerts
     finally:
@@ -380,9 +393,9 @@ def open_alerts(
 
 
 def _latest_contact_sheet(session: Session) -> Path | None:
-    """Return the contact sheet that merge wrote last; None if there is none."""
+    """Return the path of the contact sheet that `merge` wrote last; None if there is none."""
     with suppress(OSError):  # a sheet may just be replaced, or the disk may be away
-        found = session.panoramas.glob("contact-*.png")
-        sheets = (path for path in found if link_on_the_way(session.root, path) is None)
+        paths = session.panoramas.glob("contact-*.png")
+        sheets = (path for path in paths if link_on_the_way(session.root, path) is None)
         return max(sheets, key=lambda path: path.stat().st_mtime, default=None)
     return None

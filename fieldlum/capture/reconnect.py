@@ -17,7 +17,7 @@ FIRST_PAUSE_S, MAX_PAUSE_S = 1.0, 30.0
 
 
 def error_text(error: BaseException) -> str:
-    """Return an error of any kind as one short text for the journal."""
+    """Return an error of any kind as a text of at most 300 characters for the journal."""
     return f"{type(error).__name__}: {error}"[:300]
 
 
@@ -26,18 +26,20 @@ R = TypeVar("R")
 
 
 def pause_s(failures: int, first_s: float = FIRST_PAUSE_S, longest_s: float = MAX_PAUSE_S) -> float:
-    """Return the pause [s] after a number of failures in sequence: twice the last, up to a limit.
+    """Return the pause [s] before the next try, which doubles with each failure up to a limit.
 
-    failures : from 1; first_s : the first pause; longest_s : the limit.
+    failures: number of failures in sequence, from 1; first_s: the first pause; longest_s: the
+    limit.
     """
     return min(first_s * 2.0 ** min(failures - 1, 30), longest_s)
 
 
 class Keeper(Generic[D]):
-    """Holds one device and reopens it after a failure.
+    """Holds one device, opens it when it is first needed, and again after a failure.
 
-    tell: called as tell(event, ...) for device-lost and device-back; watchdog_s: time after which a
-    call of the device counts as hung [s].
+    name: of the device, for the journal; open_device: opens it; tell: journals an event
+    (device-lost, device-back) with its fields; watchdog_s: time after which a call of the device
+    counts as hung [s].
     """
 
     def __init__(
@@ -48,28 +50,23 @@ class Keeper(Generic[D]):
         tell: Callable[..., Any],
         watchdog_s: float,
     ) -> None:
-        """Keep a device that `open_device` opens when it is first needed, and again after an error.
-
-        name: for the journal; tell: journals an event with its fields; watchdog_s: how long a
-        device may be lost before that is an error.
-        """
         self.name, self._open, self._clock = name, open_device, clock
         self._tell, self._watchdog_s = tell, watchdog_s
         self._device: D | None = None
         self._failures = 0  # in sequence
-        self._next_try = float("-inf")
-        self._lost_at: float | None = None
+        self._next_try_s = float("-inf")  # time since the boot, as `_lost_at_s`
+        self._lost_at_s: float | None = None
 
     @property
     def state(self) -> str:
         """The device's state for the display: "ok", "closed" (not yet opened) or "lost"."""
-        if self._lost_at is not None:
+        if self._lost_at_s is not None:
             return "lost"
         return "closed" if self._device is None else "ok"
 
     def get(self) -> D | None:
-        """Return the open device; None while it is away. Try to open it if a try is due."""
-        if self._device is None and self._clock.boottime() >= self._next_try:
+        """Return the device, opened if a try is due; None while it is away."""
+        if self._device is None and self._clock.boottime() >= self._next_try_s:
             try:
                 self.open_or_raise()
             # termios.error, SerialException or a driver's defect must not end the capture
@@ -78,9 +75,9 @@ class Keeper(Generic[D]):
         return self._device
 
     def open_or_raise(self) -> D:
-        """Return the device, opened now if necessary; pass on any error of opening it.
+        """Return the device, opened now if necessary.
 
-        Raises DeviceError if opening takes longer than the watchdog allows.
+        Raises the error of opening it, DeviceError if that takes longer than `watchdog_s`.
         """
         if self._device is None:
             self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
@@ -89,8 +86,8 @@ class Keeper(Generic[D]):
     def call(self, use: Callable[[D], R], extra_s: float = 0.0) -> R:
         """Run `use(device)` under the watchdog and return its result.
 
-        extra_s: additional time before the device counts as hung. Raises DeviceError if the device
-        is away or does not answer in time, else what `use` raises.
+        extra_s: time [s] that is added to `watchdog_s`, such as that of a long exposure. Raises
+        DeviceError if the device is away or does not answer in time, else what `use` raises.
         """
         device = self.get()
         if device is None:
@@ -98,10 +95,10 @@ class Keeper(Generic[D]):
         result = guarded(lambda: use(device), self._watchdog_s + extra_s, self.name)
         # Only a successful call shows that it is back: a camera with a full card opens, then fails
         # again.
-        if self._lost_at is not None:
-            after_s = round(self._clock.boottime() - self._lost_at, 1)
+        if self._lost_at_s is not None:
+            after_s = round(self._clock.boottime() - self._lost_at_s, 1)
             self._tell("device-back", device=self.name, after_s=after_s)
-            self._lost_at, self._failures = None, 0
+            self._lost_at_s, self._failures = None, 0
         return result
 
     def mark_lost(self, error: BaseException) -> None:
@@ -110,12 +107,12 @@ class Keeper(Generic[D]):
         The pause doubles with each call, from 1 s to 30 s, until a call of the device succeeds.
         """
         self.close()
-        now = self._clock.boottime()
-        if self._lost_at is None:
-            self._lost_at = now
+        now_s = self._clock.boottime()
+        if self._lost_at_s is None:
+            self._lost_at_s = now_s
             self._tell("device-lost", device=self.name, why=error_text(error))
         self._failures += 1
-        self._next_try = now + pause_s(self._failures)
+        self._next_try_s = now_s + pause_s(self._failures)
 
     def close(self) -> None:
         """Close the device, if it is open."""
@@ -126,20 +123,21 @@ class Keeper(Generic[D]):
 
 
 def plain_info(info: CameraInfo | InstrumentInfo) -> DeviceTable:
-    """Return a device's information as JSON and TOML can store it, without empty fields."""
+    """Return a device's information as numbers and texts by field, without empty fields."""
     stated = {name: value for name, value in asdict(info).items() if value not in (None, "", ())}
-    return {k: v if isinstance(v, int | float) else str(v) for k, v in stated.items()}
+    return {name: v if isinstance(v, int | float) else str(v) for name, v in stated.items()}
 
 
 def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
     """Run `work()` in its own thread and return its result, or raise its error.
 
-    Raises DeviceError, naming `what`, if it does not return within `seconds`; the thread is then
-    abandoned.
+    what: names the work in the error. Raises DeviceError if it does not return within `seconds`;
+    its thread then continues, and its result is ignored.
     """
     answer = Future[R]()
 
     def job() -> None:
+        """Store the result or the error of `work()` in `answer`."""
         try:
             answer.set_result(work())
         except BaseException as error:

@@ -18,7 +18,7 @@ from fieldlum.capture.reconnect import Keeper, error_text, plain_info
 from fieldlum.capture.steady_clock import SteadyClock, boot_id, synchronised
 from fieldlum.core.errors import DeviceError, InputError, NotEnoughDataError
 from fieldlum.core.records import Slot, parse_utc
-from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer
+from fieldlum.devices import Camera, Device, IlluminanceMeter, Pyranometer
 from fieldlum.devices.clock import Clock, FastClock
 from fieldlum.session import DEFAULT_GRACE_S, Session, disk_is_full, sole_user
 from fieldlum.session.files.capture_json import Frame
@@ -36,11 +36,12 @@ from fieldlum.version import __version__
 
 @dataclass(frozen=True, slots=True)
 class Live:
-    """State of a running capture: counts of slots, next slot, irradiance, devices, disk.
+    """State of a running capture, for the display and for alerts.
 
-    state: waiting, capturing or finished; left: slots still to capture; next_in_s,
-    ghi_age_s: seconds; camera, pyranometer: ok, closed or lost; disk_days: days of captures that
-    fit. None: unknown.
+    state: waiting, capturing or finished. planned, done, missed, aborted, left: numbers of slots,
+    of which `left` are still to capture. next_slot: id, "" without one. camera, pyranometer: ok,
+    closed or lost, "" without a pyranometer. disk_days: days of captures that fit on the disk.
+    None: unknown.
     """
 
     state: str
@@ -69,12 +70,13 @@ Watch = Callable[[Live], None]
 class Options:
     """Settings of a running capture that are not in the plan: times, watchdog, disk.
 
-    grace_s: how late a bracket may start; after that its slot is missed. log_around_s: log
-    irradiance only from this time before a slot, in simulated time; None: always. threaded: whether
-    the log has its own thread; else the loop polls, as a simulated clock requires. watchdog_s: a
-    device that does not answer for longer is closed and reopened. reserve_bytes: disk space for
-    journal and rows. flush: with False, files survive a killed process but not a power cut. boot:
-    identifies the computer's boot, to detect a clock step after a restart.
+    grace_s: how late a bracket may start; after that its slot is missed. log_every_s: time between
+    readings of irradiance. log_around_s: log irradiance only from this time before a slot, in
+    simulated time; None: always. threaded: whether the log has its own thread; else the loop polls,
+    as a simulated clock requires. watchdog_s: a device that does not answer for longer is closed
+    and reopened. reserve_bytes: disk space for journal and rows. flush: with False, files survive a
+    killed process but not a power cut. boot: identifies the computer's boot, to detect a clock step
+    after a restart.
     """
 
     grace_s: float = DEFAULT_GRACE_S
@@ -93,8 +95,8 @@ DEFAULTS = Options()
 def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     """Return the clock and the options of a capture.
 
-    fast: a simulated clock that jumps from slot to slot. It starts where the journal ends, or,
-    without an event, a minute before the first slot.
+    fast: whether time is simulated. The clock then jumps from slot to slot; it starts where the
+    journal ends, or, without an event, a minute before the first slot.
     """
     grace_s = session.grace.total_seconds()
     if not fast:
@@ -102,7 +104,7 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     states = read_slot_states(session)
     slots = slots_to_do(session.slots(), states)
     first = slots[0].t_utc - timedelta(seconds=60) if slots else datetime.now(UTC)
-    # four rows of irradiance at 5 s before a slot; a simulated device does not hang, it computes
+    # 20 s: four rows of irradiance before a slot. A simulated device that does not answer computes.
     options = Options(grace_s, log_around_s=20.0, threaded=False, watchdog_s=3600.0, flush=False)
     return FastClock(states.last_utc or first), options
 
@@ -123,30 +125,29 @@ def run(
     open_pyr: Callable[[], Pyranometer] | None = None,
     open_met: Callable[[], IlluminanceMeter] | None = None,
 ) -> SlotStates:
-    """Take all brackets that are due; return when every slot of the plan has an outcome.
+    """Take the bracket of each slot until every slot has an outcome; return the slots' states.
 
-    Return the state of all slots. camera_uri, pyranometer_uri, meter_uri: as for the openers of
-    `fieldlum.devices`; the last two "" for none. `watch` is called with the state of the capture,
-    `listen` with each journal event; both must return at once. checks: of new frames. trusted:
-    returns whether a time server controls the clock, None if unknown. `open_cam`, `open_pyr` and
-    `open_met` replace what the URIs open. Raises DeviceError if the camera cannot be set to a
-    planned exposure, or the clock is before the last journal entry; the error of opening a device
-    at the start, unless it is an instrument that an earlier capture of the session used; InputError
-    if another process captures, imports or, with a pyranometer, logs in the session;
-    NotEnoughDataError if every slot is past and none was begun, or if no slot has an exposure.
+    camera_uri, pyranometer_uri, meter_uri: as for the openers of `fieldlum.devices`; the last two
+    "" for none. `watch` is called with the state of the capture, `listen` with each journal event;
+    both must return at once. checks: of new frames. trusted: returns whether a time server controls
+    the clock, None if unknown. `open_cam`, `open_pyr` and `open_met` replace what the URIs open.
+
+    Raises DeviceError if the camera cannot be set to a planned exposure, or the clock is before the
+    last journal entry; the error of opening a device at the start, unless it is an instrument that
+    an earlier capture of the session used; InputError if another process captures, imports or, with
+    a pyranometer, logs in the session; NotEnoughDataError if every slot is past and none was begun,
+    or if no slot has an exposure.
     """
     uris = {"camera": camera_uri, "pyranometer": pyranometer_uri, "meter": meter_uri}
-    stated = {"camera": open_cam, "pyranometer": open_pyr, "meter": open_met}
-    opens: dict[str, Callable[..., Camera | Pyranometer | IlluminanceMeter]] = {
-        "camera": devices.open_camera,
-        "pyranometer": devices.open_pyranometer,
-        "meter": devices.open_meter,
-    }
-    openers = {
-        name: stated[name] or partial(opens[name], uri, clock=clock, session=session)
-        for name, uri in uris.items()
-        if uri or stated[name]
-    }
+    how: dict[str, Any] = {"clock": clock, "session": session}
+    openers: dict[str, Callable[[], Device]] = {}
+    openers["camera"] = open_cam or partial(devices.open_camera, camera_uri, **how)
+    if pyranometer_uri or open_pyr:
+        openers["pyranometer"] = open_pyr or partial(
+            devices.open_pyranometer, pyranometer_uri, **how
+        )
+    if meter_uri or open_met:
+        openers["meter"] = open_met or partial(devices.open_meter, meter_uri, **how)
     logs = sole_user(session, "log") if "pyranometer" in openers else nullcontext()
     with sole_user(session, "capture"), logs:
         steady = SteadyClock(clock, trusted, options.boot)
@@ -158,7 +159,7 @@ def run(
 
 
 def refuse_early_clock(now_utc: datetime, last_utc: datetime) -> None:
-    """Raise DeviceError if the clock is over 2 s before the last journal entry."""
+    """Raise DeviceError if the clock's time is over 2 s before that of the last journal entry."""
     if now_utc < last_utc - timedelta(seconds=2):
         found = f"this computer's clock shows {now_utc:%Y-%m-%d %H:%M:%S} UTC"
         last = f"before the last journal entry ({last_utc:%Y-%m-%d %H:%M:%S})"
@@ -171,8 +172,8 @@ def refuse_past_plan(
 ) -> None:
     """Raise NotEnoughDataError if every slot is past and the journal has no event of a slot.
 
-    grace: how late a bracket may start. Otherwise all slots would be journalled as missed. The
-    cause is an old plan, or a clock that is fast.
+    The cause is an old plan, or a clock that is fast; all slots would be journalled as missed.
+    before: states by the journal; grace: how late a bracket may start.
     """
     last = max((slot.t_utc for slot in slots), default=now_utc)
     if not before.slots and last + grace < now_utc:
@@ -184,16 +185,16 @@ def refuse_past_plan(
 def refuse_unavailable_exposures(
     camera: Camera, slots: Sequence[Slot], states: Mapping[str, SlotState]
 ) -> None:
-    """Raise DeviceError for planned exposures to which the camera cannot be set.
+    """Raise DeviceError if the camera cannot be set to some planned exposures.
 
-    states: of the slots, by id. After the first complete bracket nothing is checked: a mismatch may
+    states: of the slots, by id. After the first complete bracket nothing is checked: the cause may
     then be a turned dial, which can be turned back. Raises NotEnoughDataError if no slot has an
     exposure.
     """
     if any(state.outcome == "done" for state in states.values()):
         return
     empty = [slot.id for slot in slots if not slot.exposures]
-    if len(empty) == len(slots) and empty:  # hours of `simulate --count` are not a plan
+    if len(empty) == len(slots) and empty:  # `simulate --count` plans hours without exposures
         found = f"no slot of the plan has an exposure (first slot: {empty[0]})"
         raise NotEnoughDataError(f"{found}; plan a new session with fieldlum plan")
     exposures = dict.fromkeys(e for slot in slots for e in slot.exposures)
@@ -204,20 +205,26 @@ def refuse_unavailable_exposures(
 
 @dataclass
 class _Runner:
+    """A running capture: its plan, the slots' states, the devices and the journal.
+
+    openers: what opens each device, by name: camera, pyranometer, meter.
+    """
+
     session: Session
     clock: SteadyClock
     options: Options
     watch: Watch
     checks: FrameChecks
     listen: Listen
-    openers: Mapping[str, Callable[[], Any]]
+    openers: Mapping[str, Callable[[], Device]]
 
     def __post_init__(self) -> None:
         """Read plan and journal, refuse a wrong clock and a past plan, and prepare the devices."""
         session, clock, options = self.session, self.clock, self.options
         self.setup = session.site_file()
-        self._plan_stamp = 0
-        self._plan_stamp = self._plan_time()  # before the plan is read, so that no change is missed
+        self._plan_stamp_ns = 0
+        # before the plan is read, so that no change is missed
+        self._plan_stamp_ns = self._plan_time_ns()
         self.slots = session.slots()
         self.states = before = read_slot_states(session)
         if before.last_utc is not None:
@@ -225,29 +232,31 @@ class _Runner:
                 clock.continue_from(parse_utc(before.last_open["t_utc"]), before.last_open)
             refuse_early_clock(clock.now(), before.last_utc)
         refuse_past_plan(self.slots, before, clock.now(), timedelta(seconds=options.grace_s))
-        reserve_bytes, how = options.reserve_bytes, {"flush": options.flush, "listen": self.listen}
-        self.recorder = Recorder(session, clock.now, reserve_bytes, **how)
+        self.recorder = Recorder(
+            session, clock.now, options.reserve_bytes, flush=options.flush, listen=self.listen
+        )
         keepers = {name: self._keeper(name) for name in self.openers}
         self.camera: Keeper[Camera] = keepers["camera"]
         self.meter: Keeper[IlluminanceMeter] | None = keepers.get("meter")
         self.logger: Logger | None = None
-        if "pyranometer" in keepers:
-            keeper, every_s = keepers["pyranometer"], options.log_every_s
-            self.logger = Logger(keeper, self.recorder, clock, every_s)
+        if pyranometer := keepers.get("pyranometer"):
+            self.logger = Logger(pyranometer, self.recorder, clock, options.log_every_s)
         self.bytes_per_slot, self.last_frame = session.slot_bytes(), ""
-        counts = [len(frame_requests(s.exposures, self.setup.camera)) for s in self.slots]
-        self.frame_bytes = round(self.bytes_per_slot / (max(counts, default=0) or 1))
+        frame_counts = [len(frame_requests(s.exposures, self.setup.camera)) for s in self.slots]
+        self.frame_bytes = round(self.bytes_per_slot / (max(frame_counts, default=0) or 1))
         self._state, self._next = "waiting", self._next_to_do()
 
     def _keeper(self, name: str) -> Keeper[Any]:
+        """Return what holds the device of this name, which is not opened yet."""
         tell, watchdog_s = self.recorder.write_event, self.options.watchdog_s
         return Keeper(name, self.openers[name], self.clock, tell, watchdog_s)
 
     def open(self, uris: dict[str, str]) -> None:
-        """Open all devices, or raise DeviceError for a missing one.
+        """Open all devices, store what they are in session.toml, and start the log.
 
-        When a capture is started again, an instrument that answered before may be missing for a
-        while: the brackets do not wait for it.
+        uris: of the devices, by name. Raises the error of opening a device. When a capture is
+        started again, an instrument that answered before may be missing for a while: the brackets
+        do not wait for it.
         """
         camera = self.camera.open_or_raise()
         refuse_unavailable_exposures(camera, self.slots, self.states.slots)
@@ -255,10 +264,9 @@ class _Runner:
         for keeper in (self.logger and self.logger.keeper, self.meter):
             if keeper is not None:
                 self._open_instrument(keeper, about)
-        mark, cut = self.clock.mark(), self.recorder.journal.cut_bytes
-        self.recorder.write_event(
-            "open", **mark, pid=os.getpid(), fieldlum=__version__, cut_bytes=cut
-        )
+        process = {"pid": os.getpid(), "fieldlum": __version__}
+        cut_bytes = self.recorder.journal.cut_bytes
+        self.recorder.write_event("open", **self.clock.mark(), **process, cut_bytes=cut_bytes)
         self.recorder.write_events(self.clock.check())
         try:
             before = self.session.table().get("devices", {})
@@ -271,13 +279,16 @@ class _Runner:
             self.logger.start()
 
     def _open_instrument(self, keeper: Keeper[Any], about: DevicesTable) -> None:
-        """Add an instrument's information to `about`, unless it is away but answered before."""
+        """Open an instrument and add its information to `about`.
+
+        Raises the error of opening it, unless an earlier capture used the same one.
+        """
         before, name = self.session.table().get("devices", {}), keeper.name
         try:
             about[name] = plain_info(keeper.open_or_raise().info)
         except Exception as error:
-            same_uri = before.get("uris", {}).get(name) == about.get("uris", {}).get(name)
-            if not (name in before and same_uri):
+            is_same = before.get("uris", {}).get(name) == about.get("uris", {}).get(name)
+            if not (name in before and is_same):
                 raise
             keeper.mark_lost(error)
 
@@ -302,7 +313,7 @@ class _Runner:
         self._show()
 
     def _bracket(self, slot: Slot, state: SlotState) -> BracketCapture:
-        """Return the bracket of a slot, which continues from its state in the journal."""
+        """Return what takes the missing frames of a slot; state: of the slot, by the journal."""
         return BracketCapture(
             session=self.session,
             setup=self.setup.camera,
@@ -320,26 +331,27 @@ class _Runner:
 
     def _next_to_do(self) -> Slot | None:
         """Return the next slot without an outcome; the plan may have changed during the capture."""
-        if self._plan_time() != self._plan_stamp:
-            self._plan_stamp = self._plan_time()
-            with suppress(InputError, OSError):
-                slots = read_plan(self.session.plan)  # another command may be changing it
-                # A new plan removes no slot, but a damaged file would: then the earlier plan
-                # remains.
+        if self._plan_time_ns() != self._plan_stamp_ns:
+            self._plan_stamp_ns = self._plan_time_ns()
+            with suppress(InputError, OSError):  # another command may be changing the file
+                slots = read_plan(self.session.plan)
+                # A new plan removes no slot; if one is missing, the file is damaged.
                 if {slot.id for slot in self.slots} <= {slot.id for slot in slots}:
                     self.slots = slots
         return next(iter(slots_to_do(self.slots, self.states)), None)
 
-    def _plan_time(self) -> int:
+    def _plan_time_ns(self) -> int:
+        """Return when plan.csv was last changed; the last known time if it cannot be read now."""
         try:
             return self.session.plan.stat().st_mtime_ns
         except OSError:
-            return self._plan_stamp
+            return self._plan_stamp_ns
 
     def _take(self, bracket: BracketCapture, late_s: float) -> SlotState:
-        """Take a bracket and measure its size; any failure affects this slot only.
+        """Take a bracket and return its slot's final state; any failure affects this slot only.
 
-        One more row is logged, so that rows surround the bracket.
+        One more row is logged after it, so that rows surround the bracket. late_s: time since the
+        slot began.
         """
         self._state, slot = "capturing", bracket.slot
         self.recorder.restore_reserve()
@@ -360,6 +372,7 @@ class _Runner:
         return state
 
     def _too_late(self, bracket: BracketCapture, late_s: float) -> SlotState:
+        """Journal a slot as missed, or as aborted if its bracket was started; return its state."""
         slot = bracket.slot.id
         if bracket.state.outcome == "started":
             why = "interrupted, and not finished within the slot's window"
@@ -369,17 +382,17 @@ class _Runner:
 
     def _wait_until(self, t_utc: datetime) -> bool:
         """Wait until a time; return False if the plan changed before that time."""
-        around = self.options.log_around_s
-        if around is not None and self.logger is not None:
-            self._sleep_until(t_utc - timedelta(seconds=around), log=False)
+        around_s = self.options.log_around_s
+        if around_s is not None and self.logger is not None:
+            self._sleep_until(t_utc - timedelta(seconds=around_s), log=False)
         return self._sleep_until(t_utc)
 
     def _sleep_until(self, t_utc: datetime, *, log: bool = True) -> bool:
-        """Sleep and log until a time; return whether it came before the plan was changed.
+        """Sleep and log until a time; return False if the plan changed before that time.
 
         log: whether the pyranometer is read in the meantime.
         """
-        while self._plan_time() == self._plan_stamp:  # until the plan changes
+        while self._plan_time_ns() == self._plan_stamp_ns:
             self.recorder.write_events(self.clock.check())
             wait_s = (t_utc - self.clock.now()).total_seconds()
             if wait_s <= 0:
@@ -396,6 +409,7 @@ class _Runner:
         return False
 
     def _between(self, frame: Frame | None) -> None:
+        """Log irradiance if it is due, and refresh the display; see `BracketCapture.between`."""
         if frame is not None:
             self.last_frame = f"{frame.file} {frame.doubt}".strip()
         if self.logger is not None and not self.options.threaded:
@@ -404,7 +418,7 @@ class _Runner:
             self._show()
 
     def _show(self) -> None:
-        """Update the display; continue without a display if it fails.
+        """Update the display; ignore its failure.
 
         Causes are a closed terminal, a pipe without a reader, a network share that is away.
         """
@@ -413,13 +427,13 @@ class _Runner:
 
     def live(self) -> Live:
         """Return the state of the capture."""
-        states, now, upcoming = self.states.slots.values(), self.clock.now(), self._next
-        outcomes = Counter(state.outcome for state in states)
+        now, upcoming = self.clock.now(), self._next
+        outcomes = Counter(state.outcome for state in self.states.slots.values())
         counts = {name: outcomes[name] for name in SETTLED}
         sample = self.logger.last if self.logger else None
-        free = disk_usage(self.session.root).free
+        free_bytes = disk_usage(self.session.root).free
         days = max(1, len({slot.t_utc.date() for slot in self.slots}))
-        per_day = self.bytes_per_slot * len(self.slots) / days
+        bytes_per_day = self.bytes_per_slot * len(self.slots) / days
         return Live(
             state=self._state,
             t_utc=now,
@@ -433,8 +447,8 @@ class _Runner:
             ghi_age_s=(now - sample.t_utc).total_seconds() if sample else None,
             camera=self.camera.state,
             pyranometer=self.logger.keeper.state if self.logger else "",
-            bytes_free=free,
-            disk_days=free / per_day if per_day else None,
+            bytes_free=free_bytes,
+            disk_days=free_bytes / bytes_per_day if bytes_per_day else None,
             last_event=self.recorder.last_event,
         )
 

@@ -18,11 +18,11 @@ _CLOCK_TOLERANCE = timedelta(minutes=2)  # for a session copied from another com
 
 
 def synchronised() -> bool | None:
-    """Return whether a time server controls the clock, by Linux's kernel; None if unknown.
+    """Return whether a time server controls this computer's clock; None if unknown.
 
-    It is the state that `timedatectl` shows as NTPSynchronized.
+    The kernel of Linux states it; `timedatectl` shows it as NTPSynchronized.
     """
-    # struct timex, all zero: with modes 0 the call only reads
+    # A struct timex of zeros: with modes 0 the call only reads.
     timex = ctypes.create_string_buffer(512)
     try:
         state = ctypes.CDLL(ctypes.util.find_library("c"), use_errno=True).adjtimex(timex)
@@ -32,7 +32,7 @@ def synchronised() -> bool | None:
 
 
 def boot_id() -> str:
-    """Return an identifier of this boot of the computer; "" if the system has none."""
+    """Return a text that is the same until this computer boots again; "" if the system has none."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:
@@ -54,16 +54,17 @@ class SteadyClock(Clock):
         self, clock: Clock, trusted: Callable[[], bool | None] = synchronised, boot: str = ""
     ) -> None:
         self._clock, self._trusted, self._boot_id = clock, trusted, boot
-        self._anchor, self._boot = clock.now(), clock.boottime()
-        self._slept = clock.boottime() - clock.monotonic()
-        self._refused_s = 0.0  # a step that was not followed is reported once
+        # The steady time was `_anchor_utc` at `_anchor_s` after the boot.
+        self._anchor_utc, self._anchor_s = clock.now(), clock.boottime()
+        self._slept_s = clock.boottime() - clock.monotonic()  # since the boot
+        self._refused_s = 0.0  # size of the step that is not followed; it is reported once
 
     def now(self) -> datetime:
         """Return the steady UTC, which does not follow untrusted steps of the computer's clock.
 
         `check` must be called regularly: it follows trusted steps and drift.
         """
-        return self._anchor + timedelta(seconds=self._clock.boottime() - self._boot)
+        return self._anchor_utc + timedelta(seconds=self._clock.boottime() - self._anchor_s)
 
     def boottime(self) -> float:
         """Return seconds since the boot; they continue while the computer sleeps."""
@@ -78,12 +79,13 @@ class SteadyClock(Clock):
         return {"boot_id": self._boot_id, "boottime_s": round(self.boottime(), 3)}
 
     def continue_from(self, then: datetime, mark: Mapping[str, Any]) -> None:
-        """Continue the time of an earlier process, which was at `then` when it stored `mark`.
+        """Continue the steady time of an earlier process, if the computer did not boot since.
 
-        Only within the same boot. `check` then detects a step between the two processes.
+        then: the earlier process's UTC when it stored `mark`. `check` then detects a step between
+        the two processes.
         """
         if self._boot_id and mark.get("boot_id") == self._boot_id:
-            self._anchor, self._boot = then, float(mark.get("boottime_s", 0.0))
+            self._anchor_utc, self._anchor_s = then, float(mark.get("boottime_s", 0.0))
 
     def check(self) -> list[tuple[str, EventFields]]:
         """Return the journal events since the last call: `suspend`, `clock-step`.
@@ -91,17 +93,17 @@ class SteadyClock(Clock):
         Each event is its name and its fields. Sleep or steps of at most 2 s are no event.
         """
         events: list[tuple[str, EventFields]] = []
-        slept = self._clock.boottime() - self._clock.monotonic()
-        if slept - self._slept > STEP_S:
-            events.append(("suspend", {"seconds": round(slept - self._slept, 1)}))
-        self._slept = slept
-        step = (self._clock.now() - self.now()).total_seconds()
-        if abs(step - self._refused_s) > STEP_S:
-            followed = abs(step) > STEP_S and bool(self._trusted())
-            fields = {"seconds": round(step - self._refused_s, 1), "followed": followed}
+        slept_s = self._clock.boottime() - self._clock.monotonic()
+        if slept_s - self._slept_s > STEP_S:
+            events.append(("suspend", {"seconds": round(slept_s - self._slept_s, 1)}))
+        self._slept_s = slept_s
+        step_s = (self._clock.now() - self.now()).total_seconds()
+        if abs(step_s - self._refused_s) > STEP_S:
+            followed = abs(step_s) > STEP_S and bool(self._trusted())
+            fields = {"seconds": round(step_s - self._refused_s, 1), "followed": followed}
             events.append(("clock-step", fields))
-            is_undone = abs(step) <= STEP_S  # drift is followed again
-            self._refused_s = 0.0 if followed or is_undone else step
+            is_undone = abs(step_s) <= STEP_S  # drift is followed again
+            self._refused_s = 0.0 if followed or is_undone else step_s
             if followed:
                 self._follow()
         elif self._refused_s == 0.0:
@@ -109,7 +111,8 @@ class SteadyClock(Clock):
         return events
 
     def _follow(self) -> None:
-        self._anchor, self._boot = self._clock.now(), self._clock.boottime()
+        """Set the steady time to that of the computer's clock."""
+        self._anchor_utc, self._anchor_s = self._clock.now(), self._clock.boottime()
 
 
 def wait_for_clock(
@@ -121,9 +124,8 @@ def wait_for_clock(
     """Wait while the computer's clock is over two minutes earlier than the session's last change.
 
     A small computer without a clock battery starts with a past time, until a time server answers. A
-    bracket taken before that would be filed under a wrong sun position. Return at once if
-    `trusted()`, which means that a time server has set the clock. say: called with notes for the
-    user.
+    bracket taken before that would get a wrong sun position. trusted: returns whether a time server
+    has set the clock, which ends the waiting; say: called with notes for the user.
     """
     latest_utc = datetime.fromtimestamp(session.toml.stat().st_mtime, UTC)
     if clock.now() >= latest_utc - _CLOCK_TOLERANCE or trusted():

@@ -26,13 +26,13 @@ def command(
       --mark SLOT STATE: Record the room's state at a slot: lamp=on|off, blind=up|half|down,
           tint=clear|half|full, snow=yes|no.
     """
-    from fieldlum.capture.status import status
     from fieldlum.session import mark_slot
+    from fieldlum.session.stage_status import stage_status
 
     if mark is not None:
         terminal.say(f"{mark[0]}: {mark_slot(session, *mark) or 'as usual'}")
-    stage_status = status(session)
-    terminal.print_answer(as_json, stage_status, _lines(stage_status))
+    stages = stage_status(session)
+    terminal.print_answer(as_json, stages, _lines(stages))
 
 
 def _lines(s: JsonTable) -> list[str]:

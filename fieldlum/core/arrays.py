@@ -1,4 +1,4 @@
-"""Short names of array types (docstrings have shapes and units), and evenly spread indices."""
+"""Define short names of array types; shapes and units are in docstrings. Spread indices evenly."""
 
 from typing import Any
 
@@ -13,5 +13,8 @@ Indices = NDArray[np.intp]
 
 
 def evenly_spread(count: int, maximum: int) -> Indices:
-    """Return up to `maximum` of the indices 0 to `count` - 1, evenly from first to last, [k]."""
+    """Return at most `maximum` of the indices 0 to `count` - 1, [k], with the first and the last.
+
+    The others are spread evenly between these.
+    """
     return np.unique(np.linspace(0, count - 1, min(count, maximum)).astype(np.intp))

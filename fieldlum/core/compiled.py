@@ -1,4 +1,4 @@
-"""Compile numeric loops with numba, which NumPy's array operations would slow down several times.
+"""Compile numeric loops with numba, where array operations of NumPy are several times slower.
 
 The first call compiles for some seconds; the result is stored next to the module, or in the user's
 cache folder.
@@ -12,13 +12,13 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compiled(function: Function) -> Function:
-    """Return a function compiled for the types of its arguments, as a decorator.
+    """Return `function` compiled for the types of its arguments; used as a decorator.
 
-    Division by zero gives inf or NaN, as in NumPy. Other threads can run meanwhile. Without numba,
-    as on a computer that only captures, the function is interpreted: a hundred times slower.
+    Division by zero gives inf or NaN, as in NumPy. Other threads can run in the meantime. Without
+    numba, as on a computer that only captures, `function` is returned: a hundred times slower.
     """
-    # Otherwise .numba_config.yaml in the current folder, which can be of a foreign session, could
-    # name a cache, whose files can run code.
+    # Otherwise .numba_config.yaml in the current folder, which can be a session of somebody else,
+    # could name a cache, whose files can run code.
     os.environ.setdefault("NUMBA_CACHE_DIR", "")
     try:
         from numba import njit

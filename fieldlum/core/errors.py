@@ -1,4 +1,4 @@
-"""Every error that a user can meet.
+"""Define every error that is shown to users, and describe faults of files in their words.
 
 FieldlumError            exit 1   a defect
 ├── InputError           exit 3   a file or an option cannot be used
@@ -26,8 +26,8 @@ class FieldlumError(Exception):
 class InputError(FieldlumError):
     """An input (a file, an option, a session) that cannot be used.
 
-    Printed as one line: `FILE: what was found; expected what; what to do`. `expected` and `remedy`
-    may be empty.
+    Printed as one line: `SOURCE: FOUND; expected EXPECTED; REMEDY`. source: the file or option;
+    found: what is wrong; expected: what it should be; remedy: what to do. The last two may be "".
     """
 
     exit_code = 3
@@ -65,25 +65,30 @@ class ChangedFileWarning(Caution):
 
 
 def did_you_mean(text: str, names: Iterable[str]) -> str:
-    """Return ``; did you mean 'NAME'?`` for a name that begins with a text or is similar, or ""."""
+    """Return ``; did you mean 'NAME'?`` for the name that a user may have meant by `text`.
+
+    names: all valid names; the first that begins with `text` is used, else the most similar one.
+    Return "" if none is similar.
+    """
     from difflib import get_close_matches
 
-    known = list(names)
-    near = [name for name in known if text and name.startswith(text)]
-    near = near or get_close_matches(text, known, n=1)
+    valid = list(names)
+    near = [name for name in valid if text and name.startswith(text)]
+    near = near or get_close_matches(text, valid, n=1)
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
 def install_text(extra: str) -> str:
-    """Return how to install an extra of pyproject.toml.
+    """Return a sentence on how to install the optional packages `extra` of pyproject.toml.
 
-    fieldlum is not published: another person could own its name in a package index.
+    It names the source: fieldlum is not published, and another person could own its name in a
+    package index.
     """
     return f"install it in the folder of fieldlum's source with: pip install '.[{extra}]'"
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what an exception reports, in words for a reader who does not know Python."""
+    """Return what an exception reports, in words for a user who does not know Python."""
     if isinstance(error, InputError):
         return error.found
     if isinstance(error, KeyError):
@@ -95,7 +100,7 @@ def reason_of(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
-# First bytes of files that are no table (their formats' specifications).
+# Files that are no table, by their first bytes (from the formats' specifications).
 _KINDS = {
     **dict.fromkeys((b"CDF", b"\x89HDF"), "a netCDF or HDF5 file"),
     b"PK\x03\x04": "a zip archive or a spreadsheet (xlsx)",
@@ -105,6 +110,7 @@ _KINDS = {
     b"\xff\xd8\xff": "a JPEG picture",
     b"\x89PNG": "a PNG picture",
     b"RIFF": "a WebP picture or a sound",
+    # an HEIC picture begins with the length of its first box
     **{bytes([0, 0, 0, n]) + b"ftyphei": "an HEIC picture" for n in range(16, 64, 4)},
     **dict.fromkeys((b"II*\0", b"MM\0*"), "a raw or TIFF picture"),
     b"v/1\x01": "an OpenEXR picture",
@@ -116,7 +122,10 @@ _KINDS = {
 
 
 def kind_of(data: bytes) -> str:
-    """Return the kind of a file by its first bytes; "" for a text and an unknown file."""
+    """Return the kind of a file, such as "a PDF", by its first bytes.
+
+    data: from the file's beginning. Return "" for a text and for an unknown kind.
+    """
     return next((kind for start, kind in _KINDS.items() if data.startswith(start)), "")
 
 
@@ -125,9 +134,10 @@ _STDERR = threading.Lock()
 
 @contextmanager
 def library_messages(*marks: str) -> Iterator[list[str]]:
-    """Collect the marks that occur in what a C library writes to stderr within the `with` block.
+    """Collect what a C library writes to stderr in a `with` block; yield the list of messages.
 
-    LibRaw and OpenEXR state damage only there, and continue. Lines without a mark are passed on.
+    LibRaw and OpenEXR report damage only there, and continue. marks: texts that such lines contain;
+    each line with a mark adds the mark to the list. Other lines are printed after the block.
     """
     messages: list[str] = []
     with _STDERR, tempfile.TemporaryFile() as buffer:

@@ -1,4 +1,4 @@
-"""False colour of luminance: one colour map, scale and encoding for every picture."""
+"""Show luminance in false colour, with one colour map, scale and encoding for every picture."""
 
 from collections.abc import Iterable
 from functools import lru_cache
@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Floats, Floats32
 
 COLOUR_MAP = "inferno"  # perceptually uniform, and readable without red and green
-RANGE_CDM2 = (1.0, 10_000.0)  # of pictures that are compared between hours and rooms; chosen
-UNSEEN_RGB = (120, 120, 120)  # grey is no colour of the scale; chosen
+# Ends of the scale of pictures that are compared between hours and rooms. Chosen.
+RANGE_CDM2 = (1.0, 10_000.0)
+UNSEEN_RGB = (120, 120, 120)  # of pixels without a value; grey is no colour of the scale; chosen
 
 
 @lru_cache(maxsize=1)
@@ -24,23 +25,24 @@ def colour_table() -> NDArray[np.uint8]:
 def coloured(
     luminance_cdm2: Floats | Floats32, low: float = RANGE_CDM2[0], high: float = RANGE_CDM2[1]
 ) -> NDArray[np.uint8]:
-    """Return RGB [..., 3] of luminances, on a logarithmic scale from low to high [cd/m2].
+    """Return false colours of luminances [...] as RGB [..., 3], 0 to 255.
 
-    Values outside the scale get the colour of its nearer end; not finite ones `UNSEEN_RGB`.
+    low, high: ends of the logarithmic scale [cd/m2]. Values outside the scale get the colour of its
+    nearer end; values that are not finite get `UNSEEN_RGB`.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.log(np.maximum(luminance_cdm2, 1e-9) / low) / np.log(high / low)
-    rgb = colour_table()[np.nan_to_num(np.clip(share * 255.0 + 0.5, 0, 255)).astype(np.uint8)]
+        position = np.log(np.maximum(luminance_cdm2, 1e-9) / low) / np.log(high / low)  # 0 to 1
+    rgb = colour_table()[np.nan_to_num(np.clip(position * 255.0 + 0.5, 0, 255)).astype(np.uint8)]
     rgb[~np.isfinite(luminance_cdm2)] = UNSEEN_RGB
     return rgb
 
 
 def png_of(rgb: NDArray[np.uint8]) -> bytes:
-    """Return an image [H, W, 3] as PNG bytes. Raises ValueError for one that cannot be coded."""
+    """Return the PNG file of an RGB image [H, W, 3]. Raises ValueError if it cannot be encoded."""
     import cv2
 
-    good, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
-    if not good:
+    succeeded, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))  # OpenCV has BGR
+    if not succeeded:
         raise ValueError("the picture could not be encoded")
     return data.tobytes()
 
@@ -50,6 +52,7 @@ def luminance_ends(luminance_cdm2: Floats | Floats32) -> tuple[float, float] | N
 
     luminance_cdm2: [...]; values that are not finite do not count.
     """
+    # 200 000 to 400 000 values are enough for these percentiles. Chosen.
     values = luminance_cdm2.ravel()[:: max(1, luminance_cdm2.size // 200_000)]
     values = values[np.isfinite(values) & (values > 0)]
     if not len(values):
@@ -58,10 +61,10 @@ def luminance_ends(luminance_cdm2: Floats | Floats32) -> tuple[float, float] | N
 
 
 def shared_scale(ends: Iterable[tuple[float, float] | None]) -> tuple[float, float]:
-    """Return the ends of one scale [cd/m2] for pictures with these `luminance_ends`.
+    """Return the low and the high end of one scale [cd/m2] for several pictures.
 
-    They are rounded outwards to one digit, and at least a factor of ten apart; 1 and 1000 without
-    a picture.
+    ends: `luminance_ends` of each picture. The result is rounded outwards to one digit, and its
+    ends are at least a factor of ten apart; without a picture they are 1 and 1000.
     """
     lows, highs = zip(*(pair for pair in ends if pair), (np.inf, 0.0), strict=True)
     low, high = (min(lows), max(highs)) if max(highs) else (1.0, 1000.0)
@@ -69,5 +72,6 @@ def shared_scale(ends: Iterable[tuple[float, float] | None]) -> tuple[float, flo
 
 
 def _one_digit(value: float, rounding: np.ufunc) -> float:
+    """Return a positive value with one significant digit; rounding: numpy.floor or numpy.ceil."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(f"{rounding(value / power) * power:.1g}")

@@ -11,6 +11,7 @@ import uuid
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any
@@ -19,22 +20,22 @@ from filelock import FileLock
 
 from fieldlum.core.errors import InputError, input_errors
 
-_RUN = uuid.uuid4().hex[:12]  # another one in each process, on any computer
+_RUN = uuid.uuid4().hex[:12]  # in names of temporary files; differs in each process
 
-
-# A sparse file of a terabyte needs no disk. EXR pictures with as many values as the reader accepts
-# have less than a GiB; the arrays of a model of 2 200 captures can have more. [bytes]
+# Larger files are not read, because they would fill the memory. EXR pictures with as many values as
+# the reader accepts have less than a GiB; the arrays of a model of 2 200 captures can have more.
 MAX_FILE_BYTES, MAX_ARRAY_BYTES = 2**30, 2**32
 
 
 def open_file(
     path: Path | str, flags: int, *, follow_links: bool = False, folder: int | None = None
 ) -> int:
-    """Open a regular file by the flags of os.open, without waiting; return its handle.
+    """Open a regular file, without waiting for another program; return its handle.
 
-    flags: without O_TRUNC, which would act before the checks; folder: handle of the folder to which
-    a relative path belongs; None for the current one. Raises OSError for a folder, a pipe, a
-    device, a link that is not followed, and when writing, for a file with several hard links.
+    flags: of os.open, without O_TRUNC, which would act before the checks; folder: handle of the
+    folder to which a relative path belongs, None for the current one. Raises OSError for a folder,
+    a pipe, a device, a link that is not followed, and when writing, for a file with several hard
+    links.
     """
     # Absent on Windows, where a link needs a right that users do not have. O_NONBLOCK is for a
     # named pipe; it has no effect on files.
@@ -58,17 +59,15 @@ def open_file(
     raise no_file
 
 
-def open_anywhere(path: Path, flags: int) -> int:
-    """Open a file as `open_file` does, and follow links."""
-    return open_file(path, flags, follow_links=True)
+opener: Callable[[Path, int], int] = partial(open_file, follow_links=True)
+"""Opens each file that is read or replaced, by its path and the flags of os.open.
 
-
-opener = open_anywhere
-"""Opens each file that is read or replaced; fieldlum.session sets one that refuses links in it."""
+fieldlum.session replaces it by one that refuses links within a session.
+"""
 
 
 def open_to_read(path: Path, maximum_bytes: int = MAX_FILE_BYTES) -> BufferedReader:
-    """Open a file for reading, and never wait for another program.
+    """Return a file that is open for reading.
 
     Raises OSError for a missing file, a pipe or device, a file over `maximum_bytes`, and a link in
     a session that the user did not permit.
@@ -94,7 +93,7 @@ def read_bytes(path: Path, maximum_bytes: int = MAX_FILE_BYTES) -> bytes:
 
 @contextmanager
 def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
-    """Yield a file that gets its name only when it is complete.
+    """Yield a file that gets the name `path` only when it is complete.
 
     The file has a temporary name in the same folder, is flushed to disk, and is then renamed. After
     an exception in the `with` block it is removed instead. mode, kwargs: as for `open`.
@@ -104,18 +103,18 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
 
 
 def write_file(path: Path, content: bytes | str) -> Path:
-    """Write bytes, or a text in UTF-8, as `replacing` does; return `path`."""
+    """Write a complete file of bytes, or of a text in UTF-8, as `replacing` does; return `path`."""
     with replacing(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
     return path
 
 
 def check_writable(folder: Path) -> None:
-    """Raise if no file can be written into a folder, which need not exist.
+    """Raise an error if no file can be written into a folder, which need not exist.
 
-    For stages that compute for minutes before they write. Nothing remains of the test, and
-    temporary files of killed runs are removed. Raises OSError, which names the folder that exists,
-    or InputError for a place on no disk.
+    Stages that compute for minutes call this first. Nothing remains of the test, and temporary
+    files of killed runs are removed. Raises OSError, which names the innermost folder that exists,
+    or InputError for a place on a disk that is not mounted.
     """
     places = (folder.absolute(), *folder.absolute().parents)
     existing = next((place for place in places if os.path.lexists(place)), None)
@@ -136,8 +135,9 @@ def replacing_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path with the same suffix; rename it to `path` after the `with` block.
 
     For writers that need a path; see `replacing`. After an exception the temporary file is removed.
+    Raises InputError if the folder cannot be created, such as in /proc.
     """
-    expected, remedy = "a folder that can be created", "name another folder"  # not in /proc
+    expected, remedy = "a folder that can be created", "name another folder"
     with input_errors(path.parent, expected, remedy, FileNotFoundError):
         path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{_RUN}.tmp.{path.name}")
@@ -154,7 +154,7 @@ def replacing_path(path: Path) -> Iterator[Path]:
 
 
 def remove_scraps(folder: Path) -> None:
-    """Remove temporary files of `replacing` of killed runs: those that are older than a day.
+    """Remove the temporary files that killed runs left in a folder: those older than a day.
 
     A link is never followed.
     """
@@ -167,7 +167,10 @@ def remove_scraps(folder: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make a rename durable on POSIX; do nothing on systems and shares that cannot."""
+    """Write a folder's entries to the disk, so that a rename survives a power cut.
+
+    Do nothing on systems and shares that cannot do this. Raises OSError for other failures.
+    """
     if os.name == "posix":
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -195,13 +198,13 @@ def sha256(path: Path) -> str:
 
 
 def encode_line(row: Mapping[str, object]) -> bytes:
-    """Return one journal line: CRC-32 in hex, a space, compact JSON, newline."""
+    """Return a line of a journal: CRC-32 of the text in hex, a space, compact JSON, newline."""
     text = json.dumps(row, separators=(",", ":"), ensure_ascii=False)
     return f"{zlib.crc32(text.encode()):08x} {text}\n".encode()
 
 
 def decode_line(line: bytes) -> Any:
-    """Return the JSON value in a complete and undamaged line; None for any other line."""
+    """Return the JSON value in a line of `encode_line`; None for an incomplete or damaged line."""
     crc, _, text = line.rstrip(b"\n").partition(b" ")
     try:
         valid = line.endswith(b"\n") and len(crc) == 8 and int(crc, 16) == zlib.crc32(text)
@@ -220,7 +223,7 @@ def exclusive(path: Path) -> Iterator[None]:
     # A line and its flush take milliseconds. Without the lock two lines could mix only on a file
     # system that splits writes, and the CRC would show it.
     lock = FileLock(path, timeout=0.25, poll_interval=0.002)
-    with suppress(OSError):  # of which Timeout is one
+    with suppress(OSError):  # filelock's Timeout is an OSError too
         lock.acquire()
     try:
         yield
@@ -229,22 +232,23 @@ def exclusive(path: Path) -> Iterator[None]:
 
 
 def cut_torn_tail(path: Path, is_valid: Callable[[bytes], bool]) -> int:
-    """Cut `path` after its last valid line; return the number of bytes moved to ``NAME.torn``.
+    """Cut a file after its last valid line; return the number of bytes moved to ``NAME.torn``.
 
     A kill or a power cut during a write leaves half a line, or a page of zeros. Damaged lines
-    before the last valid one remain: readers skip them. is_valid: whether a line is valid. A
-    missing file gives 0. Raises InputError if the last MiB has three or more lines, none valid.
+    before the last valid one remain: readers skip them. is_valid: returns whether a line is valid.
+    A missing file gives 0. Raises InputError if the last MiB has three or more lines, none valid.
     """
     if not path.is_file():
         return 0
     with os.fdopen(open_file(path, os.O_RDWR), "rb+") as file:
         file.seek(max(0, file.seek(0, os.SEEK_END) - (1 << 20)))
         lines = file.readlines()
-        valid = next((k for k in range(len(lines), 0, -1) if is_valid(lines[k - 1])), 0)
-        if not valid and b"".join(lines).count(b"\n") > 2:
+        # number of lines up to the last valid one
+        count = next((k for k in range(len(lines), 0, -1) if is_valid(lines[k - 1])), 0)
+        if not count and b"".join(lines).count(b"\n") > 2:
             found, remedy = "no valid line at the end of the file", "restore it, or move it away"
             raise InputError(path, found, "a file written by fieldlum", remedy)
-        if rest := b"".join(lines[valid:]):
+        if rest := b"".join(lines[count:]):
             flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
             with os.fdopen(open_file(path.with_name(f"{path.name}.torn"), flags), "ab") as torn:
                 torn.write(rest)
@@ -253,17 +257,18 @@ def cut_torn_tail(path: Path, is_valid: Callable[[bytes], bool]) -> int:
     return len(rest)
 
 
-def separate(path: Path) -> None:
-    """Give a file that has other names too, such as in a backup of hard links, a copy of its own.
+def break_hard_links(path: Path) -> None:
+    """Replace a file that has other names too (hard links) by a copy that has only this name.
 
-    The other names keep the earlier file. Raises OSError.
+    Some backup programs create such links; appending would change the backup. The other names keep
+    the earlier file. Raises OSError.
     """
     if path.is_file() and not path.is_symlink() and path.stat().st_nlink > 1:
         write_file(path, read_bytes(path))
 
 
 def is_replaced(handle: int, path: Path) -> bool:
-    """Return whether another regular file has the name by which a handle was opened."""
+    """Return whether `path` is now another regular file than that of an open handle."""
     try:
         now = path.stat(follow_symlinks=False)
     except OSError:
@@ -272,9 +277,10 @@ def is_replaced(handle: int, path: Path) -> bool:
 
 
 def append_complete(handle: int, data: bytes, *, flush: bool) -> None:
-    """Append all of `data` to a file opened with O_APPEND; with `flush`, wait for the disk.
+    """Append all of `data` to an open file, or nothing; with `flush`, wait for the disk.
 
-    handle: of os.open. On failure the file gets its earlier length, and the OSError is raised.
+    handle: of os.open with O_APPEND. On failure the file gets its earlier length, and the OSError
+    is raised.
     """
     before = os.fstat(handle).st_size
     try:

@@ -1,4 +1,4 @@
-"""Colours and matplotlib settings of charts: no pyplot, no global state."""
+"""Define colours and settings of charts; matplotlib's pyplot and global settings are not used."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SETTINGS: dict[Any, Any] = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Return a context in which new figures have fieldlum's colours and settings.
+    """Return a context for `with`, in which new figures have fieldlum's colours and settings.
 
     A file matplotlibrc in the current folder, which may be somebody else's session, has no effect.
     """
@@ -40,7 +40,7 @@ def styled() -> AbstractContextManager[None]:
 
 
 def new_figure(width_in: float, height_in: float, **settings: Any) -> Figure:
-    """Return an empty figure, without pyplot; its parts do not overlap.
+    """Return an empty figure, in which matplotlib arranges the parts without overlap.
 
     width_in, height_in: in inches; settings: of matplotlib's Figure.
     """
@@ -60,6 +60,6 @@ def svg_of(figure: Figure, **settings: Any) -> str:
 
 
 def open_axes(axes: Any) -> None:
-    """Remove the upper and right frame of axes, and draw small ticks in ink."""
+    """Remove the upper and the right line of the frame of axes; draw small tick labels in `INK`."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8, colors=INK)

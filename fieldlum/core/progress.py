@@ -1,31 +1,32 @@
-"""Report how far long work is; who called the work decides whether somebody sees it."""
+"""Report the progress of long work; the caller of the work decides whether it is shown."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
 Progress = Callable[[int, int, str], None]
-"""Shows how far work is: called with the number of finished steps, of all steps, and a text."""
+"""Shows progress: called with the number of finished steps, of all steps, and a text."""
 
 
 def quiet(finished: int, total: int, text: str) -> None:
-    """Show nothing; the arguments are those of `progress`."""
+    """Show nothing: a `Progress` for work whose progress is not to be seen."""
 
 
 _SHOW: ContextVar[Progress] = ContextVar("show", default=quiet)
 
 
 def progress(finished: int, total: int, text: str) -> None:
-    """Report how far work is that takes over two seconds, to the innermost `shown_by`.
+    """Report the progress of work that takes over two seconds; the innermost `shown_by` shows it.
 
-    finished, total: number of finished and of all steps; text: what is done, such as "pictures".
+    finished, total: number of finished and of all steps; text: name of the work or of its step,
+    such as "pictures".
     """
     _SHOW.get()(finished, total, text)
 
 
 @contextmanager
 def shown_by(show: Progress) -> Iterator[None]:
-    """Show the progress of work in a `with` block by `show`; with `quiet` it is not shown."""
+    """Let `show` show the progress that is reported in a `with` block; `quiet` shows nothing."""
     token = _SHOW.set(show)
     try:
         yield
@@ -35,9 +36,9 @@ def shown_by(show: Progress) -> Iterator[None]:
 
 @contextmanager
 def part_of_progress(number: int, count: int) -> Iterator[None]:
-    """Show the progress in a `with` block as that of part `number` of `count` equal parts.
+    """Let a `with` block's progress count as that of part `number` (from 0) of `count` equal parts.
 
-    number: from 0.
+    The progress of all parts together then has one scale.
     """
     show = _SHOW.get()
     with shown_by(lambda done, total, text: show(number * total + done, count * total, text)):

@@ -17,7 +17,9 @@ from fieldlum.core.strict_toml import Positive
 # Largest picture that is read, unless a camera's profile states more: 0.5 GB of JPEG codes, 1.9 GB
 # of float32 colours. The largest sensors in use have 150 million pixels.
 MAX_PIXELS = 160_000_000
-Cfa = Literal["RGGB", "BGGR", "GRBG", "GBRG"]  # Bayer mosaics: the top left 2 x 2 pixels
+Cfa = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
+"""Colour filters of a Bayer mosaic: its top left 2 x 2 pixels, row by row."""
+
 # ----------------------------------------------------------------------------------------------
 # time
 
@@ -26,7 +28,7 @@ def utc_text(t_utc: datetime) -> str:
     """Return a time in UTC as ``2027-03-20T15:30:00Z``.
 
     A fraction of a second is cut to three digits; full seconds have none. Raises ValueError for a
-    naive time.
+    time without a time zone.
     """
     if t_utc.tzinfo is None:
         raise ValueError(f"naive time {t_utc}: add a time zone")
@@ -35,7 +37,7 @@ def utc_text(t_utc: datetime) -> str:
 
 
 def parse_time(text: str) -> datetime:
-    """Return the time of an ISO text, naive if it has no offset.
+    """Return the time of an ISO text, without a time zone if the text has no offset.
 
     Raises ValueError for another text, and for 06.30, which Python reads as 06:00:00.3.
     """
@@ -71,9 +73,9 @@ def parse_utc(text: str) -> datetime:
 
 
 def slot_id(t_utc: datetime) -> str:
-    """Return the name of a slot, its UTC start: ``20270320T153000Z``.
+    """Return the name of a slot that begins at a time (UTC): ``20270320T153000Z``.
 
-    Raises ValueError for a naive time.
+    Raises ValueError for a time without a time zone.
     """
     return re.sub(r"[-:]|\.\d+", "", utc_text(t_utc))
 
@@ -122,9 +124,9 @@ class CameraSetup:
 
     profile: name of a profile in calibration/, or a path; "" for the default simulated camera;
     heading_deg: azimuth of the panorama's centre column, clockwise from true north; headings:
-    azimuths to which a head turns a single fisheye for each bracket, empty for a fixed camera;
-    height_m: of the lens above the floor; assumed: keys that SITE.toml did not state, although
-    they turn the results; filter: name of the neutral-density filter that a person puts on for the
+    azimuths [deg] to which a single fisheye is turned in each bracket, empty for a fixed camera;
+    height_m: of the lens above the floor; assumed: keys that SITE.toml does not state, although the
+    results depend on them; filter: name of the neutral-density filter that a person puts on for the
     frames of the sun, "" for none.
     """
 
@@ -142,8 +144,8 @@ class Window:
 
     left_m: from the wall's left end, seen from inside, to the rectangle; sill_m: height of its
     lower edge above the floor; width_m, height_m: its size; transmittance: of the glass. panes:
-    equal panes next to each other, separated by vertical bars; frame_m: width of the frame and
-    of the bars; transom_m: height of a horizontal bar above the floor, 0 for none.
+    number of equal panes next to each other, separated by vertical bars; frame_m: width of the
+    frame and of the bars; transom_m: height of a horizontal bar above the floor, 0 for none.
     """
 
     wall: Literal["south", "west", "north", "east"]
@@ -211,7 +213,7 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class PyranometerSetup:
-    """The instrument of a session as SITE.toml states it: its kind and the name of its profile."""
+    """The pyranometer of a session as SITE.toml states it: its kind and the name of its profile."""
 
     kind: str = ""
     profile: str = ""
@@ -245,7 +247,7 @@ class Exposure:
 
 
 JsonTable = dict[str, Any]
-"""A JSON object; tests/test_json_keys.py has the keys of those that commands print."""
+"""A JSON object; tests/test_json_keys.py lists the keys of those that commands print."""
 
 
 def counted(count: int, noun: str) -> str:
@@ -254,13 +256,13 @@ def counted(count: int, noun: str) -> str:
 
 
 def listed(names: Sequence[object], maximum: int = 5) -> str:
-    """Return up to `maximum` names, and the number of the others, such as "a, b and 3 more"."""
+    """Return the first `maximum` names and the number of the others, such as "a, b and 3 more"."""
     more = f" and {len(names) - maximum} more" if len(names) > maximum else ""
     return ", ".join(map(str, names[:maximum])) + more
 
 
 def shutter_text(shutter_s: float) -> str:
-    """Return a time in s as cameras label it, without the unit: 1/250, 0.4, 2.
+    """Return a shutter time [s] as cameras show it, without the unit: 1/250, 0.4, 2.
 
     Times below 0.3 s become fractions.
     """
@@ -309,18 +311,18 @@ class IrradianceSample:
 # luminance
 
 
-CLIPPED_SUN = "clipped"  # origin of a sun that is clipped in every frame, which is a lower bound
+# `SunSource.origin` of a sun that every frame clips: its illuminance is a lower bound.
+CLIPPED_SUN = "clipped"
 
 
 @dataclass(frozen=True, slots=True)
 class SunSource:
     """The sun as the lens sees it, separate from the map.
 
-    normal_illuminance_lx: on a plane normal to the sun, at the lens; a lower bound if origin is
-    "clipped". visible_fraction: share (0 to 1) of the disc's area that is not hidden. origin:
-    where the illuminance comes from; "" if unknown. azimuth_deg: clockwise from north.
-    normal_illuminance_lx is that of the visible part. Values of origin: nd-frames, merge,
-    clipped, meter, dni, rendering, picture.
+    azimuth_deg: clockwise from north. normal_illuminance_lx: of the visible part of the disc, on a
+    plane normal to the sun, at the lens; a lower bound if origin is "clipped". visible_fraction:
+    share (0 to 1) of the disc's area that is not hidden. origin: where the illuminance comes from:
+    nd-frames, merge, clipped, meter, dni, rendering, picture; "" if unknown.
     """
 
     altitude_deg: float
@@ -330,8 +332,9 @@ class SunSource:
     origin: str = ""
 
 
-# Attribute of a merged picture: "SOURCE=PERCENT ...", standard uncertainties that its pixels share,
-# each a share of the luminance; that of VEILING_GLARE is one of the mean luminance in all pixels.
+# Name of an attribute of merged pictures: the standard uncertainties that all pixels share, as
+# "SOURCE=PERCENT SOURCE=PERCENT ...". They are percent of a pixel's luminance, except that of the
+# source VEILING_GLARE, which is percent of the picture's mean luminance.
 U_PERCENT, VEILING_GLARE = "u_percent", "veiling-glare"
 
 
@@ -339,11 +342,11 @@ U_PERCENT, VEILING_GLARE = "u_percent", "veiling-glare"
 class Panorama:
     """A luminance map of all directions; a sun disc that fieldlum measured is separate, in `sun`.
 
-    luminance_cdm2, u_cdm2 (standard uncertainty), flags (`Flag` bits) : [H, W = 2H], row 0 at the
-    zenith, azimuth clockwise to the right; rgb : [H, W, 3]. heading_deg : azimuth of the centre
-    column, clockwise from true north. t_utc, u_cdm2, flags, rgb : None if unknown. sun : None if no
+    luminance_cdm2, u_cdm2 (standard uncertainty), flags (`Flag` bits): [H, W = 2H], row 0 at the
+    zenith, azimuth clockwise to the right; rgb: [H, W, 3]. heading_deg: azimuth of the centre
+    column, clockwise from true north. t_utc, u_cdm2, flags, rgb: None if unknown. sun: None if no
     sun was removed from the map or added to it; a map of another program may then contain the disc.
-    attributes : further texts of the picture's file.
+    attributes: further texts of the picture's file.
     """
 
     luminance_cdm2: Floats
@@ -352,17 +355,18 @@ class Panorama:
     flags: NDArray[np.integer] | None = None
     t_utc: datetime | None = None
     sun: SunSource | None = None
-    rgb: Floats | None = None  # such that 179 * (.265 .670 .065) gives the luminance
+    # Radiance's units: 179 lm/W times (0.265 R + 0.670 G + 0.065 B) is the luminance
+    rgb: Floats | None = None
     attributes: dict[str, str] = field(default_factory=dict)
 
     @property
     def seen(self) -> Mask:
-        """Mask [H, W], True for pixels that a lens saw: all without flags."""
+        """Mask [H, W], True for pixels that a lens saw; True everywhere if flags are unknown."""
         if self.flags is None:
             return np.ones(self.luminance_cdm2.shape, bool)
         return (self.flags & Flag.OUTSIDE_LENS) == 0
 
     @property
     def seen_cdm2(self) -> Floats32:
-        """Luminance [H, W] as a copy, NaN where no lens saw."""
+        """Copy of the luminance [H, W], NaN in pixels that no lens saw."""
         return np.where(self.seen, self.luminance_cdm2, np.float32(np.nan)).astype(np.float32)

@@ -9,18 +9,18 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import did_you_mean
 
-KNOWN = {
+STATE_VALUES = {
     "lamp": ("off", "on"),
     "blind": ("up", "half", "down"),
     "tint": ("clear", "half", "full"),
     "snow": ("no", "yes"),
 }
-"""Words and their values; the first value of each is the usual one and is not written."""
+"""Words of a state and their values; the first value of each is the usual one and is omitted."""
 
 ADDED = "lamp"  # the word for light that does not follow the daylight
 COVERS = ("blind", "tint")  # the words for what changes the view of the sky
 OFF = "lamp=off"  # in a prediction, it also switches off a lamp that is always on
-USAGE = ", ".join(f"{word}={'|'.join(values)}" for word, values in KNOWN.items())
+USAGE = ", ".join(f"{word}={'|'.join(values)}" for word, values in STATE_VALUES.items())
 
 
 def parse_state(text: str) -> tuple[str, ...]:
@@ -28,19 +28,19 @@ def parse_state(text: str) -> tuple[str, ...]:
 
     text: parts ``word=value`` separated by semicolons. Parts with their usual value (lamp=off,
     blind=up, snow=no) are omitted, so the result is empty for a usual room. Raises ValueError for a
-    word or a value that is not in KNOWN, or for a repeated word.
+    word or a value that is not in STATE_VALUES, or for a repeated word.
     """
     values = sorted(_values(text).items())
-    return tuple(f"{word}={value}" for word, value in values if value != KNOWN[word][0])
+    return tuple(f"{word}={value}" for word, value in values if value != STATE_VALUES[word][0])
 
 
 def is_lit(text: str) -> bool:
-    """Return whether a state has a lamp on."""
+    """Return whether a lamp is on in a state."""
     return any(part.startswith(ADDED) for part in parse_state(text))
 
 
 def cover_state(text: str) -> str:
-    """Return the parts of a state that change the view of the sky, such as "blind=half"."""
+    """Return the unusual parts of a state that change the view of the sky, such as "blind=half"."""
     return ";".join(part for part in parse_state(text) if part.startswith(COVERS))
 
 
@@ -52,25 +52,25 @@ def _values(text: str) -> dict[str, str]:
     values: dict[str, str] = {}
     for part in filter(None, (piece.strip() for piece in text.split(";"))):
         word, _, value = (piece.strip() for piece in part.partition("="))
-        if word not in KNOWN or value not in KNOWN[word] or word in values:
-            states = (f"{name}={known}" for name, options in KNOWN.items() for known in options)
+        if value not in STATE_VALUES.get(word, ()) or word in values:
+            states = (f"{name}={option}" for name in STATE_VALUES for option in STATE_VALUES[name])
             raise ValueError(f"'{part}' is not a state of a room{did_you_mean(part, states)}")
         values[word] = value
     return values
 
 
 def merged_state(text: str, change: str) -> str:
-    """Return the state `text`, such as ``lamp=on;blind=half``, after the parts of `change` apply.
+    """Return the state `text`, such as ``lamp=on;blind=half``, with the parts of `change`.
 
-    A word in `change` replaces the same word in `text`; other words stay. Words with their usual
-    value are not in the result. Raises ValueError for an unknown word or value in either text.
+    A word in `change` replaces the same word in `text`; other words remain. Parts with their usual
+    value are omitted. Raises ValueError for an unknown word or value in either text.
     """
     merged = _values(text) | _values(change)
     return ";".join(parse_state(";".join(f"{word}={value}" for word, value in merged.items())))
 
 
 def indicators(states: tuple[str, ...], columns: tuple[str, ...]) -> Floats:
-    """Return a table [len(states), len(columns)]: 1 where a state contains a part, else 0.
+    """Return a table [states, columns]: 1 where the state has the part of the column, else 0.
 
     states: texts such as ``lamp=on;blind=half``; columns: one part each, such as "lamp=on".
     """

@@ -1,8 +1,8 @@
 """Run units of work in this process, in several processes, or on a Dask cluster.
 
 A stage turns its work into `WorkUnit`s and calls `run_each`. `parse_scheduler` reads the text of
-the option `--scheduler`. Units run by executors of `concurrent.futures`: a pool of processes, or
-that of a Dask client. Only `_on_cluster` imports dask.
+the option `--scheduler`. Units run in executors of `concurrent.futures`: a pool of processes, or
+that of a Dask client. Dask is imported only for a cluster.
 """
 
 import errno
@@ -36,11 +36,11 @@ from fieldlum.session import sha256
 
 SHARED_VARIABLE = "FIELDLUM_SHARED"
 RETRIES = 3  # number of further tries of a unit after its worker was lost; chosen
-# timeout for an answer of the scheduler: ten times a slow handshake over TLS; chosen
+# Longest wait for an answer of the Dask scheduler: ten times a slow handshake over TLS. Chosen.
 CONNECT_S = 15.0
-# longest time without any worker: a batch system starts jobs within minutes; chosen
+# Longest wait for a first worker: a batch system starts jobs within minutes. Chosen.
 PATIENCE_S = 600.0
-# longest time with refused workers only: a killed worker is replaced within a minute; chosen
+# Longest wait if all workers are avoided: a killed worker is replaced within a minute. Chosen.
 REPLACED_S = 60.0
 # Errors of a worker's computer, so that another computer may finish the unit: a full disk, a quota,
 # a disk that does not answer, a share that went away, no memory.
@@ -52,9 +52,9 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 
 @dataclass(frozen=True, slots=True)
 class Scheduler:
-    """Where units of work run: in some processes here, or on the Dask scheduler at an address.
+    """Where units of work run: in `processes` on this computer, or on a Dask cluster.
 
-    address: tcp:// or tls://, "" for this computer.
+    address: of the Dask scheduler, tcp:// or tls://; "" for this computer.
     """
 
     processes: int = 1
@@ -65,10 +65,11 @@ LOCAL = Scheduler()
 
 
 def parse_scheduler(text: str) -> Scheduler:
-    """Return the scheduler that `text` names: local, processes:N (or N), an address or FILE.json.
+    """Return the scheduler that a value of the option `--scheduler` names.
 
-    Raises InputError for any other text and for a FILE.json that cannot be used. Warns of an
-    address that other computers can reach without TLS.
+    text: local, processes:N (or N), an address, or FILE.json as a Dask scheduler writes it. Raises
+    InputError for any other text and for a FILE.json that cannot be used. Warns of an address that
+    other computers can reach without TLS.
     """
     count = "1" if text == "local" else text.removeprefix("processes:")
     if count.isdigit() and int(count) > 0:
@@ -76,13 +77,13 @@ def parse_scheduler(text: str) -> Scheduler:
     address = text
     if text.endswith(".json"):
         remedy = "let dask scheduler --scheduler-file write the file"
-        wrong = (OSError, ValueError, KeyError, TypeError)
-        with input_errors(text, "a JSON file of a Dask scheduler", remedy, *wrong):
+        kinds = (OSError, ValueError, KeyError, TypeError)
+        with input_errors(text, "a JSON file of a Dask scheduler", remedy, *kinds):
             address = str(json.loads(read_bytes(Path(text)))["address"])
-    with suppress(ValueError):
-        at = urlsplit(address)
-        if at.scheme in ("tcp", "tls") and at.hostname and at.port and "@" not in at.netloc:
-            if at.scheme == "tcp" and at.hostname not in ("localhost", "127.0.0.1", "::1"):
+    with suppress(ValueError):  # a port that is no number
+        url = urlsplit(address)
+        if url.scheme in ("tcp", "tls") and url.hostname and url.port and "@" not in url.netloc:
+            if url.scheme == "tcp" and url.hostname not in ("localhost", "127.0.0.1", "::1"):
                 text = f"{address} has no TLS and is not on this computer: anyone who can reach "
                 text += "that port can run programs on its workers. Use tls:// (docs/scale.md)."
                 warnings.warn(text, Caution, stacklevel=2)
@@ -113,7 +114,7 @@ class WorkUnit:
 
 @dataclass(frozen=True, slots=True)
 class UnitOutcome:
-    """How a unit of work ended: with a value, or with an error of its call or of its workers."""
+    """How a unit of work ended: with the value of its call, or with an error; the other is None."""
 
     unit: WorkUnit
     value: Any = None
@@ -136,41 +137,44 @@ def run_each(
 
     A unit whose process or worker is killed, has a full disk or an outdated file system is tried
     again, at most 3 times; then its outcome has an InputError, and other units continue. An error
-    in `take` stops all units and is raised. Raises InputError if no scheduler answers or no worker
-    with this software is left, NotEnoughDataError if there is no worker for ten minutes.
+    in `take` stops all units and is raised. Raises InputError if no Dask scheduler answers or no
+    worker with this software is left, NotEnoughDataError if there is no worker for ten minutes.
     """
     waiting = list(units)
     count = min(scheduler.processes, len(waiting))
     if scheduler.address and waiting:
         outcomes = _on_cluster(waiting, scheduler.address)
     else:
-        outcomes = _in_processes(waiting, count) if count > 1 else (_here(u) for u in waiting)
+        outcomes = _in_processes(waiting, count) if count > 1 else (_run_here(u) for u in waiting)
     with closing(outcomes):
         for done, outcome in enumerate(outcomes, start=1):
             progress(done, len(waiting), outcome.unit.name)
             take(outcome)
 
 
-def _here(unit: WorkUnit) -> UnitOutcome:
+def _run_here(unit: WorkUnit) -> UnitOutcome:
+    """Run a unit in this process; return its outcome."""
     try:
-        with shown_by(quiet), threadpool_limits(1, user_api="blas"):  # as a worker
+        with shown_by(quiet), threadpool_limits(1, user_api="blas"):  # as in a worker
             return UnitOutcome(unit, unit.call(unit.folder, unit.argument))
     except Exception as error:
         return UnitOutcome(unit, error=error)
 
 
 def is_worker_trouble(error: BaseException) -> bool:
-    """Return whether an error is due to the computer that runs a unit, not to the unit."""
+    """Return whether an error is due to the computer on which a unit ran, not to the unit."""
     if isinstance(error, OSError):
         return error.errno in _WORKER_ERRNOS
     return isinstance(error, MemoryError)
 
 
 def _trouble_text(error: BaseException) -> str:
-    return getattr(error, "strerror", None) or "out of memory"  # without paths
+    """Return the reason of an error for which `is_worker_trouble` is True, without paths."""
+    return getattr(error, "strerror", None) or "out of memory"
 
 
 def _given_up(unit: WorkUnit, why: str) -> UnitOutcome:
+    """Return the outcome of a unit that was tried too often; why: reason of the last failure."""
     source, expected = f"unit of work {unit.name}", "a worker that completes it"
     found = f"given up after {RETRIES + 1} tries, the last: {why}"
     remedy = "check memory and disk of the workers, then start the command again"
@@ -180,7 +184,7 @@ def _given_up(unit: WorkUnit, why: str) -> UnitOutcome:
 def use_one_thread() -> None:
     """Limit this process to one thread of OpenCV, BLAS and OpenMP.
 
-    By default each of n processes would start a thread for each core, and they would wait for each
+    Otherwise each worker would start a thread for each core, and the threads would wait for each
     other: two processes on two cores took twice as long to predict a year.
     """
     import cv2
@@ -195,10 +199,10 @@ def use_one_thread() -> None:
 
 
 def _in_processes(units: list[WorkUnit], count: int) -> Outcomes:
-    """Run units in a pool of processes.
+    """Run units in a pool of `count` processes, and yield their outcomes as they end.
 
-    A unit that is tried again runs alone, so that a killed process is due to this unit. count: of
-    processes.
+    A killed process breaks the pool and ends all its units. So a unit that is tried again runs
+    alone: if its process is killed, it is the cause.
     """
     waiting, tries, running = units[::-1], Counter[str](), dict[Future[Any], WorkUnit]()
     pool = start_pool(count)
@@ -214,27 +218,27 @@ def _in_processes(units: list[WorkUnit], count: int) -> Outcomes:
                 running[future] = unit
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 unit, error = running.pop(future), future.exception()
-                killed = isinstance(error, BrokenProcessPool)
-                if error is None or not (killed or is_worker_trouble(error)):
+                is_killed = isinstance(error, BrokenProcessPool)
+                if error is None or not (is_killed or is_worker_trouble(error)):
                     yield UnitOutcome(unit, None if error else future.result(), error)
                 elif tries[unit.name] < RETRIES:
                     tries[unit.name] += 1
                     waiting.insert(0, unit)  # last
                 else:
-                    why = "its process was killed" if killed else _trouble_text(error)
+                    why = "its process was killed" if is_killed else _trouble_text(error)
                     yield _given_up(unit, why)
     finally:
         pool.shutdown(cancel_futures=True)
 
 
 def start_pool(count: int) -> Executor:
-    """Return an executor of `count` processes, each with one thread, that end with this one."""
+    """Return a pool of `count` processes, each with one thread, which end with this process."""
     spawn = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(count, mp_context=spawn, initializer=_start_worker)
 
 
 def _start_worker() -> None:
-    """Limit a worker to one thread, and end it with its parent."""
+    """Limit a process of a pool to one thread, and let it end when its parent ends."""
     use_one_thread()
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -247,9 +251,10 @@ def _start_worker() -> None:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What a worker of a cluster receives; it contains no absolute path of this computer.
+    """A unit of work as a worker of a cluster receives it, without absolute paths.
 
-    inputs: names and sha256 of input files, relative to `folder`; software: that of the client.
+    folder: relative to the shared folder; inputs: names (relative to `folder`) and sha256 of input
+    files; software: `software` of the computer that sends it.
     """
 
     call: Callable[[Path, Any], Any]
@@ -260,9 +265,8 @@ class Task:
 
 
 def task_of(unit: WorkUnit) -> Task:
-    """Return what a worker needs for `unit`, with the sha256 of its input files.
+    """Return a unit as a worker of a cluster receives it.
 
-    Its folder is stated relative to the shared folder: FIELDLUM_SHARED, else the current one.
     Raises InputError if its folder is outside the shared folder.
     """
     shared = _shared_folder()
@@ -277,21 +281,24 @@ def task_of(unit: WorkUnit) -> Task:
 
 
 def _shared_folder() -> Path:
+    """Return the folder that workers share: FIELDLUM_SHARED, else the current one."""
     return Path(os.environ.get(SHARED_VARIABLE) or Path.cwd())
 
 
 def _digest(path: Path) -> str:
+    """Return the SHA-256 of a file in hex, "absent" if it does not exist."""
     return sha256(path) if path.is_file() else "absent"
 
 
 def perform(task: Task) -> tuple[Any, str]:
-    """Run a task on a worker; return the call's value, and what is wrong with this computer or "".
+    """Run a task on a worker; return the call's value and "", or None and this computer's fault.
 
-    A computer is wrong if it has other software or other input files than the client, a full disk
-    or no memory. Raises the call's other errors.
+    Faults are other software or other input files than on the computer that sent the task, a full
+    disk, and too little memory. Raises the call's other errors.
     """
-    folder, mine = _shared_folder() / task.folder, software()
-    other = [f"{k} {mine[k]} (here {v})" for k, v in task.software.items() if mine[k] != v]
+    folder, own = _shared_folder() / task.folder, software()
+    # The text is shown on the computer that sent the task, which is "here".
+    other = [f"{k} {own[k]} (here {v})" for k, v in task.software.items() if own[k] != v]
     if other:
         return None, f"rejected: {', '.join(other)}; install the versions of this computer there"
     try:
@@ -306,7 +313,7 @@ def perform(task: Task) -> tuple[Any, str]:
 
 
 def _perform_here(task: Task) -> tuple[str, Any, str]:
-    """Run a task on a worker; return the worker's address, the value, and the trouble or ""."""
+    """Run a task on a worker; return the worker's address, and the result of `perform`."""
     from distributed import get_worker
 
     use_one_thread()  # in the thread of this task: OpenMP has a limit for each thread
@@ -315,7 +322,10 @@ def _perform_here(task: Task) -> tuple[str, Any, str]:
 
 @cache
 def software() -> dict[str, str]:
-    """Return versions and digests by name: Python, numeric packages, and fieldlum's files."""
+    """Return what results depend on: versions of Python and packages, digests of fieldlum's files.
+
+    By name. A package that is not installed has the version "none".
+    """
     facts = {"python": f"{sys.version_info[0]}.{sys.version_info[1]}"}
     for name in ("fieldlum", "numpy", "scipy", "opencv-contrib-python-headless", "torch", "pvlib"):
         facts[name] = "none"
@@ -329,16 +339,18 @@ def software() -> dict[str, str]:
 
 
 def _on_cluster(units: list[WorkUnit], address: str) -> Outcomes:
-    """Run units on the workers of a Dask scheduler, which runs a killed worker's units elsewhere.
+    """Run units on the workers of a Dask scheduler, and yield their outcomes as they end.
 
-    A worker with other software, stale files or a full disk gets no unit a second time. Raises
-    InputError if no other worker is left.
+    Dask runs a killed worker's units elsewhere. A worker with other software, outdated files or a
+    full disk gets no further units. Raises InputError if no other worker is left.
     """
-    avoided: dict[str, str] = {}  # worker, and why it gets no more units
+    avoided: dict[str, str] = {}  # why a worker gets no further units, by its address
+    # running: the unit of a future, and the workers that may run it (the empty set: any)
     tries, running = Counter[str](), dict[Future[Any], tuple[WorkUnit, set[str]]]()
     with _connect(address) as client:
 
         def submit(unit: WorkUnit) -> None:
+            """Send a unit to the workers that are not avoided."""
             places = _usable(client, address, avoided)
             executor = client.get_executor(workers=sorted(places) or None, pure=False)
             running[executor.submit(_perform_here, task_of(unit))] = unit, places
@@ -362,14 +374,16 @@ def _on_cluster(units: list[WorkUnit], address: str) -> Outcomes:
                     yield _given_up(unit, f"worker {worker}: {trouble}" if worker else trouble)
             present = set() if ended else client.nthreads().keys()
             for future, (_, places) in running.items():
-                if places and not ended and not places & present:  # else it would wait for ever
+                # None of its workers is present any more: it would wait for ever.
+                if places and not ended and not places & present:
                     future.cancel()
 
 
 def _usable(client: Any, address: str, avoided: dict[str, str]) -> set[str]:
-    """Return the workers that are not avoided; the empty set if none is, so that any may do.
+    """Return the addresses of the workers that are not avoided; the empty set if none is avoided.
 
-    client: of Dask.
+    client: of Dask, connected to `address`. Raises InputError if all workers are avoided for a
+    minute.
     """
     end_s = time.monotonic() + REPLACED_S
     while avoided:
@@ -385,7 +399,10 @@ def _usable(client: Any, address: str, avoided: dict[str, str]) -> set[str]:
 
 
 def _answer(future: Future[Any]) -> tuple[str, Any, str, BaseException | None]:
-    """Return worker, value and trouble of a task that ended, and the error of its call."""
+    """Return the results of a task that ended: worker, value, fault of the worker, and error.
+
+    Those that are absent are "" (worker, fault) or None (value, error of the call).
+    """
     error = None if future.cancelled() else future.exception()
     if future.cancelled() or type(error).__name__ == "KilledWorker":
         return "", None, "its workers were killed or ran out of memory", None
@@ -393,9 +410,10 @@ def _answer(future: Future[Any]) -> tuple[str, Any, str, BaseException | None]:
 
 
 def _connect(address: str) -> Any:
-    """Return a Dask client; certificates of tls:// are those of Dask's own configuration.
+    """Return a client of the Dask scheduler at an address, when a worker is present.
 
-    Raises InputError if no scheduler answers, NotEnoughDataError without a worker.
+    For tls://, certificates are those of Dask's own configuration. Raises InputError if no
+    scheduler answers, NotEnoughDataError without a worker for ten minutes.
     """
     from distributed import Client
 

@@ -26,9 +26,10 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
 
 
 def cauchy_weights(residual: Floats, half: float) -> Floats:
-    """Return robust weights 1 / (1 + (residual / half)^2), 1 to 0, for residuals [...].
+    """Return the weights [...] of residuals [...] in a fit: 1 for none, near 0 for gross errors.
 
-    half: the residual, in the same unit, whose weight is a half.
+    A weight is 1 / (1 + (residual / half)^2). half: the residual, in the same unit, whose weight is
+    a half.
     """
     return 1.0 / (1.0 + (residual / half) ** 2)
 
@@ -41,7 +42,7 @@ def nan_percentiles(values: Floats, percent: tuple[float, ...]) -> Array:
     """
     ordered = np.sort(values, axis=0)  # NaN last
     last = np.maximum((~np.isnan(values)).sum(axis=0) - 1, 0)  # [...], index of the largest value
-    out = []
+    percentiles = []
     for q in percent:
         position = last * (q / 100.0)
         below = np.floor(position).astype(np.intp)
@@ -49,8 +50,8 @@ def nan_percentiles(values: Floats, percent: tuple[float, ...]) -> Array:
             np.take_along_axis(ordered, index[None], axis=0)[0]
             for index in (below, np.minimum(below + 1, last))
         )
-        out.append(low + (high - low) * (position - below).astype(values.dtype))
-    return np.stack(out)
+        percentiles.append(low + (high - low) * (position - below).astype(values.dtype))
+    return np.stack(percentiles)
 
 
 def median_standard_error(sigma: float, count: int) -> float:
@@ -84,8 +85,8 @@ def standard_error(values: Floats, groups: Array | None = None) -> float:
 def held_out_masks(groups: Array, parts: int) -> Iterator[Mask]:
     """Yield a mask [n] for each of `parts` tests, True for the values that the test holds out.
 
-    groups [n]: a group is never divided. Neighbouring groups are held out in different tests, each
-    once.
+    groups [n]: group of each value, such as its day; a group is never divided. Each group is held
+    out once, and neighbouring groups in different tests.
     """
     names = np.unique(groups)
     for part in range(parts):

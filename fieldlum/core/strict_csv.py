@@ -1,6 +1,6 @@
-"""Read tables that other programs write: one encoding, closed quotes, equally many cells in rows.
+"""Read tables that other programs write; report each damaged line, never guess its values.
 
-Every csv reader uses this module, so that the same damage has the same answer everywhere.
+Every csv reader uses this module, so that the same damage has the same error everywhere.
 """
 
 import codecs
@@ -23,31 +23,36 @@ from fieldlum.core.records import parse_time
 Line = tuple[int, str]
 """The number of a line in its file, from 1, and its text."""
 
-# Share of zero bytes. UTF-16 without its mark has about half; a damaged block has few. Chosen.
+# Share of zero bytes above which a file is no text: UTF-16 without its mark has about half, a text
+# with a damaged block has few. Chosen.
 _MAX_ZERO_BYTES = 0.25
-# A cell outside is an error. Every hourly mean of a real sky is inside: the solar constant is 1361
+# A value outside is an error. Every hourly mean of a real sky is inside: the solar constant is 1361
 # W/m2, cloud edges add to it, and a thermopile's night offset is a few W/m2 below zero.
 IRRADIANCE_LIMITS_WM2 = (-10.0, 1600.0)
+# Causes of a wrong number of cells, or of a wrong number, as parts of an error's text.
 COMMAS = ", because numbers have decimal commas"
 THOUSANDS = ", because numbers have commas between thousands"
 POINTS = ", because other numbers have decimal commas"
 _INTEGER = re.compile(r"[+-]?\d+")
-_GROUP, _THREE = re.compile(r"[+-]?[1-9]\d{0,2}"), re.compile(r"\d{3}(\.\d*)?")
+_WITH_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}(\.\d*)?")  # 1,234.5
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
 # Texts of a missing value in loggers, spreadsheets and databases, without minus signs and case.
 _NO_VALUE = {"", "nan", "na", "n/a", "#n/a", "null", "none", "inf"}
-# Codes of a missing value, none of them an irradiance: EPW 9999, TMY3 -9900, SolarAnywhere -999,
-# SURFRAD -9999.9, climate stations -99 and -99.9, Campbell 6999 and 7999 (their documentation).
+# Numbers that mean a missing value, none of them an irradiance: EPW 9999, TMY3 -9900, SolarAnywhere
+# -999, SURFRAD -9999.9, climate stations -99 and -99.9, Campbell 6999 and 7999 (their
+# documentation).
 _MISSING = {s * m for s in (-1.0, 1.0) for m in (9999.0, 99999.0, 999999.0, 6999.0, 7999.0)} | {
     *(-9900.0, -9999.9, -999.9, -999.0, -99.99, -99.9, -99.0)
 }
-_YEAR_FIRST = re.compile(r"(\d{4})([/.-])(\d{1,2})\2(\d{1,2})(?=[ T]|$)")
-_COMPACT = re.compile(r"^((?:19|20)\d\d)(\d\d)(\d\d)(\d\d)(\d\d)$")
-_UNIX = re.compile(r"(1\d{9})(\d{3}|\d{6}|\d{9})?")
+_YEAR_FIRST = re.compile(r"(\d{4})([/.-])(\d{1,2})\2(\d{1,2})(?=[ T]|$)")  # 2027/3/20
+_COMPACT = re.compile(r"^((?:19|20)\d\d)(\d\d)(\d\d)(\d\d)(\d\d)$")  # 202703201600
+_UNIX = re.compile(r"(1\d{9})(\d{3}|\d{6}|\d{9})?")  # seconds since 1970, and decimals of a second
 # Days of a spreadsheet from 1982 to 2119, in its system that begins in 1900 (ECMA-376, 18.17.4.1).
 _SERIAL_DAY = re.compile(r"([3-7]\d{4})(?:[.,](\d+))?")
+# A time of day such as 4:00:00 pm: hour, minutes with seconds, and the letter of AM or PM.
 _HOUR = re.compile(r"(?<=\d[ T])(\d{1,2})((?::\d\d){1,2})(?: ?([AaPp])\.?(?:[Mm]\.?)?$)?")
-_SERIAL = re.compile(r"\(LGR S/N: [^()]*\)$")  # of the logger, as HOBOware writes it
+_LOGGER_SERIAL = re.compile(r"\(LGR S/N: [^()]*\)$")  # as HOBOware writes it into headings
+# Spellings that are left after `is_wm2` has simplified a unit; \ufffd and ? are a damaged "²".
 _WM2 = {"w/m2", "wm-2", "wm2", "w/m-2", "w/m\ufffd", "w/m?"}
 _MICROVOLTS = {"v": 1e6, "mv": 1e3, "uv": 1.0, "µv": 1.0, "μv": 1.0}
 
@@ -59,8 +64,8 @@ _MICROVOLTS = {"v": 1e6, "mv": 1e3, "uv": 1.0, "µv": 1.0, "μv": 1.0}
 def read_text(path: Path, expected: str, remedy: str = "check the path") -> str:
     """Return the text of a file in UTF-8, UTF-16 with its mark, or a Western 8-bit encoding.
 
-    expected, remedy: for errors. Raises InputError for a file that cannot be read, and for other
-    files, with their kind.
+    expected, remedy: texts for errors. Raises InputError for a file that cannot be read, and for a
+    file that is no text; the error states its kind, such as a PDF.
     """
     with input_errors(path, expected, remedy, OSError, MemoryError):
         data = read_bytes(path)
@@ -80,16 +85,19 @@ def read_text(path: Path, expected: str, remedy: str = "check the path") -> str:
 
 
 def lines_of(text: str) -> list[str]:
-    """Return the lines of a text with any line ends; csv cells with line ends are not supported."""
+    """Return the lines of a text with line ends of any system.
+
+    A cell with a line end in quotation marks is not supported: it gives two lines.
+    """
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return lines[:-1] if lines[-1] == "" else lines
 
 
 def numbered(lines: Iterable[str], first: int = 1) -> list[Line]:
-    """Return the lines that are neither empty nor comments (#), with their numbers.
+    """Return the lines that are neither empty nor comments (#), with their numbers in the file.
 
-    first: number of the first line. A line such as ``sep=,``, which some spreadsheets need, is
-    skipped too.
+    first: number of the first of `lines`. A line such as ``sep=,``, which some spreadsheets need,
+    is skipped too.
     """
     return [
         (number, line)
@@ -104,61 +112,64 @@ def numbered(lines: Iterable[str], first: int = 1) -> list[Line]:
 
 @dataclass(frozen=True, slots=True)
 class CsvTable:
-    """Column names, and the number and cells of each line below them; as many cells as names.
+    """Column names, and the line number and the cells of each row; as many cells as names.
 
-    mark: the separator.
+    separator: between cells, such as a comma.
     """
 
     path: Path
     names: tuple[str, ...]
     rows: tuple[tuple[int, tuple[str, ...]], ...]
-    mark: str = ","
+    separator: str = ","
 
     def dicts(self) -> list[tuple[int, dict[str, str]]]:
-        """Return the number and the cells by column of each line."""
+        """Return the line number and the cells by column name of each row."""
         return [(line, dict(zip(self.names, cells, strict=True))) for line, cells in self.rows]
 
 
-def split_row(line: str, mark: str = ",", *, padded: bool = True) -> list[str]:
-    """Return the cells of a line; padded: remove spaces around them.
+def split_row(line: str, separator: str = ",", *, padded: bool = True) -> list[str]:
+    """Return the cells of a line; padded: whether to remove spaces around them.
 
     Raises ValueError for a quotation mark without its counterpart.
     """
     if '"' not in line:
-        cells = line.split(mark)
+        cells = line.split(separator)
     else:
+        rows = csv.reader([line], delimiter=separator, strict=True, skipinitialspace=padded)
         try:
-            cells = next(csv.reader([line], delimiter=mark, strict=True, skipinitialspace=padded))
+            cells = next(rows)
         except csv.Error:
             raise ValueError("a quotation mark without its counterpart") from None
     return [cell.strip() for cell in cells] if padded else cells
 
 
-def split_header(path: Path, line: Line, mark: str = ",") -> list[str]:
+def split_header(path: Path, line: Line, separator: str = ",") -> list[str]:
     """Return the cells of a header line.
 
-    Raises InputError for a stray quotation mark, and for another separator than commas.
+    Raises InputError for a quotation mark without its counterpart, and for columns that are
+    separated by other marks than the commas that are expected.
     """
-    if mark == "," and "," not in line[1] and (other := re.search(r"[;\t|]", line[1])):
+    if separator == "," and "," not in line[1] and (other := re.search(r"[;\t|]", line[1])):
         remedy = "save it as CSV with commas between and points in the numbers"
         raise InputError(path, f"columns separated by {other[0]!r}", "commas", remedy)
     where, remedy = f"{path}: line {line[0]}", "correct that line"
     with input_errors(where, "a line of names", remedy, ValueError):
-        return split_row(line[1], mark)
+        return split_row(line[1], separator)
 
 
 def split_rows(
-    path: Path, lines: Iterable[Line], count: int | None = None, mark: str = ","
+    path: Path, lines: Iterable[Line], count: int | None = None, separator: str = ","
 ) -> list[tuple[int, tuple[str, ...]]]:
     """Return the number and the cells of each line.
 
-    count: how many cells each line has; None: as most lines have. Raises InputError, with the first
-    such line, for another number of cells and for a quotation mark without its counterpart.
+    count: number of cells that a line must have; None for that of most lines. Raises InputError,
+    with the first such line, for another number of cells and for a quotation mark without its
+    counterpart.
     """
     rows = []
     for number, line in lines:
         try:
-            rows.append((number, tuple(split_row(line, mark))))
+            rows.append((number, tuple(split_row(line, separator))))
         except ValueError as error:
             found, expected = f"line {number}: {error}", "paired quotation marks"
             raise InputError(path, found, expected, "correct that line") from None
@@ -177,11 +188,11 @@ def split_rows(
 
 
 def plain_rows(path: Path, expected: str, remedy: str) -> str:
-    """Return the lines of a csv as long as its first one, without comments (#) and empty lines.
+    """Return a csv as a text without comments (#) and empty lines, when its rows are checked.
 
-    It is as strict as `split_rows`, and fast, for tables of a million rows without quotation marks.
-    Raises InputError, with the line and the texts `expected` and `remedy`, for another number of
-    cells and for a quotation mark.
+    All lines must have as many cells as the first one, and no quotation marks. This is as strict as
+    `split_rows`, but fast for a million rows. expected, remedy: texts for errors. Raises InputError
+    with the first wrong line, or if the file cannot be read.
     """
     lines = numbered(lines_of(read_text(path, expected, remedy)))
     commas = lines[0][1].count(",") if lines else 0
@@ -193,25 +204,25 @@ def plain_rows(path: Path, expected: str, remedy: str) -> str:
 
 
 def surplus_cause(cells: Sequence[str], count: int, right: Sequence[Sequence[str]] = ()) -> str:
-    """Return why a row has more than `count` cells; "" if neither commas in numbers explain it.
+    """Return why a row has more than `count` cells: `COMMAS`, `THOUSANDS`, or "" if unknown.
 
     Commas separate decimals if the row has at least one pair of integers for each surplus cell, and
     fewer decimal points than the rows with `count` cells (`right`), or if no row has a decimal
     point. Else they separate thousands if there is a pair such as 1 and 234.5 for each.
     """
-    if len(cells) > 3 * count:  # a number of one cell has at most two commas more
+    if len(cells) > 3 * count:  # a number has at most two commas
         return ""
-    if _decimal_commas(cells, count, right):
+    if _has_decimal_commas(cells, count, right):
         return COMMAS
-    pairs = sum(bool(_GROUP.fullmatch(a) and _THREE.fullmatch(b)) for a, b in pairwise(cells))
+    pairs = sum(bool(_WITH_THOUSANDS.fullmatch(f"{a},{b}")) for a, b in pairwise(cells))
     return THOUSANDS if 0 < len(cells) - count <= pairs else ""
 
 
-def _decimal_commas(cells: Sequence[str], count: int, right: Sequence[Sequence[str]]) -> bool:
-    """Return whether a line with too many cells can be one with decimal commas.
+def _has_decimal_commas(cells: Sequence[str], count: int, right: Sequence[Sequence[str]]) -> bool:
+    """Return whether a row with more than `count` cells can have decimal commas.
 
-    That is: its surplus cells are decimals after an integer, and it lacks the decimal points that
-    lines of the right length have. count: of cells in a right line.
+    Its surplus cells are then decimals after an integer, and it has no decimal points where rows of
+    `count` cells (`right`) have them.
     """
     surplus, pairs, k = len(cells) - count, 0, 0
     while k + 1 < len(cells):
@@ -224,38 +235,38 @@ def _decimal_commas(cells: Sequence[str], count: int, right: Sequence[Sequence[s
 
 
 def read_table(
-    path: Path, expected: str, remedy: str, *, needed: Sequence[str] = (), marks: str = ","
+    path: Path, expected: str, remedy: str, *, needed: Sequence[str] = (), separators: str = ","
 ) -> CsvTable:
     """Return the header and the rows of a csv without comments (#) and empty lines.
 
-    expected, remedy: for errors. needed: names of required columns. marks: separators that are
-    allowed; the first of them that the header contains counts. Empty columns at the right, which
-    spreadsheets write, are left out. Raises InputError for a file that cannot be read, a missing or
-    repeated column, a cell below an empty name, and what `split_rows` refuses.
+    expected, remedy: texts for errors. needed: names of required columns. separators: those that
+    are allowed; the first of them that the header contains is used. Empty columns at the right,
+    which spreadsheets write, are left out. Raises InputError for a file that cannot be read, a
+    missing or repeated column, a cell below an empty name, and what `split_rows` refuses.
     """
     lines = numbered(lines_of(read_text(path, expected, remedy)))
     if not lines:
         raise InputError(path, "an empty file", expected, remedy)
-    mark = next((mark for mark in marks if mark in lines[0][1]), ",")
-    names = split_header(path, lines[0], mark)
+    separator = next((mark for mark in separators if mark in lines[0][1]), ",")
+    names = split_header(path, lines[0], separator)
     if missing := [name for name in needed if name not in names]:
         raise InputError(path, f"no column {', '.join(missing)}", expected, remedy)
     check_names(path, names)
-    rows = split_rows(path, lines[1:], len(names), mark)
-    width = max((k + 1 for k, name in enumerate(names) if name), default=0)
+    rows = split_rows(path, lines[1:], len(names), separator)
+    width = max((number for number, name in enumerate(names, start=1) if name), default=0)
     for line, cells in rows:
         if any(cells[width:]):
             found = f"line {line}: a cell without a column name"
             raise InputError(path, found, "a name", "name its column")
-    shown = tuple((n, cells[:width]) for n, cells in rows)
-    return CsvTable(path, tuple(names[:width]), shown, mark)
+    named = tuple((line, cells[:width]) for line, cells in rows)
+    return CsvTable(path, tuple(names[:width]), named, separator)
 
 
 def check_names(path: Path, names: Sequence[str]) -> None:
-    """Raise InputError for a column name that occurs twice; empty names are no names."""
+    """Raise InputError for a column name that occurs twice; empty names may."""
     counts = Counter(name for name in names if name)
-    if twice := [name for name, count in counts.items() if count > 1]:
-        found = f"{counts[twice[0]]} columns named {twice[0]}"
+    if repeated := [name for name, count in counts.items() if count > 1]:
+        found = f"{counts[repeated[0]]} columns named {repeated[0]}"
         raise InputError(path, found, "each name once", "rename or remove one of the columns")
 
 
@@ -264,7 +275,7 @@ def check_names(path: Path, names: Sequence[str]) -> None:
 
 
 def read_number(text: str, *, has_codes: bool = True) -> float:
-    """Return the number in a cell, in the column's unit; NaN for texts of a missing value.
+    """Return the number in a cell, in the column's unit; NaN for a text that means a missing value.
 
     has_codes: whether numbers such as -9999 are missing values too; they are not in voltages.
     Raises ValueError for another text.
@@ -278,7 +289,7 @@ def read_number(text: str, *, has_codes: bool = True) -> float:
 
 
 def read_time(text: str, *, utc: bool = False) -> datetime:
-    """Return the time in an ISO text; without a zone in the text, it has one only with `utc`.
+    """Return the time in a cell; utc: whether a time without a zone is in UTC, else it stays naive.
 
     A date may have slashes or points and no zeros (2027/3/20), an hour AM or PM, or 24:00 for the
     end of the day, and the zone may be the word UTC or GMT. Twelve digits are a time without marks
@@ -306,19 +317,25 @@ def read_time(text: str, *, utc: bool = False) -> datetime:
 
 
 def _iso_hour(time: re.Match[str]) -> str:
-    """Return a time of day with an hour of 00 to 23; the text itself if AM or PM is wrong."""
-    hour, half = int(time[1]), (time[3] or "").lower()
+    """Return a time of day with an hour of 00 to 23; the text itself for an hour such as 13 PM.
+
+    time: match of `_HOUR`.
+    """
+    hour, half = int(time[1]), (time[3] or "").lower()  # half of the day: "a", "p" or ""
     if half and not 1 <= hour <= 12:
         return time[0]
     return f"{hour % 12 + 12 * (half == 'p') if half else hour:02d}{time[2]}"
 
 
 def split_heading(heading: str) -> tuple[str, str]:
-    """Return the name and the unit of a column heading such as ``DNI (W/m^2)`` or ``dni_wm2``."""
+    """Return the name and the unit of a column heading such as ``DNI (W/m^2)`` or ``dni_wm2``.
+
+    Without a unit of irradiance or voltage, return the heading and "".
+    """
     name, unit = _in_brackets(heading)
     if unit:
         return (name, unit) if is_unit(unit) else (heading.strip(), "")
-    heading = _SERIAL.sub("", heading)
+    heading = _LOGGER_SERIAL.sub("", heading)
     words = re.split(r"[\s_]+", heading.strip())
     for k in range(max(len(words) - 4, 1), len(words)):  # "Watts per square meter" has four words
         if is_unit(unit := " ".join(words[k:])):
@@ -327,14 +344,14 @@ def split_heading(heading: str) -> tuple[str, str]:
 
 
 def stated_unit(heading: str) -> str:
-    """Return the unit that a heading states, also one that is no irradiance; empty without one."""
-    stated = _in_brackets(heading)[1]
-    return stated if "/" in stated else split_heading(heading)[1]
+    """Return the unit of a heading, also one of another quantity such as kJ/m2; "" without one."""
+    _, in_brackets = _in_brackets(heading)
+    return in_brackets if "/" in in_brackets else split_heading(heading)[1]
 
 
 def _in_brackets(heading: str) -> tuple[str, str]:
-    """Return the name and the text in brackets at the end of a heading; ("", "") without one."""
-    inner = _SERIAL.sub("", heading).strip().rstrip(")]} \t")
+    """Return the name and the text in brackets of ``NAME (TEXT)``; "" and "" for other headings."""
+    inner = _LOGGER_SERIAL.sub("", heading).strip().rstrip(")]} \t")
     start = max(inner.rfind(mark) for mark in "([{") + 1
     unit = inner[start:].strip()
     is_last = start > 0 and not set(")]}") & set(unit)
@@ -347,7 +364,7 @@ def is_unit(text: str) -> bool:
 
 
 def is_wm2(unit: str) -> bool:
-    """Return whether a unit is W/m2, in any of its spellings."""
+    """Return whether a unit is W/m2, in any of its spellings, such as "Watts per sq. meter"."""
     text = unit.lower().translate(str.maketrans("²⁻−–", "2---"))
     text = unicodedata.normalize("NFKC", text).replace("â", "")  # full width letters and ㎡
     text = re.sub(r"met(?:er|re)s?", "m", re.sub(r"watts?", "w", text))

@@ -26,8 +26,9 @@ NotNegative = Annotated[float, Meta(ge=0.0)]
 Share = Annotated[float, Meta(ge=0.0, lt=1.0)]
 """Numbers of a table whose range is checked when it is built."""
 
-# bytes; the largest file of fieldlum has some kB, but /dev/zero has no end; chosen
+# Larger files are refused: the largest of fieldlum has some kB, but /dev/zero has no end. Chosen.
 _MAX_BYTES = 4 * 2**20
+# Types by msgspec's names, in words for a user.
 _WORDS = {
     "float": "a number",
     "int": "an integer",
@@ -36,7 +37,7 @@ _WORDS = {
     "object": "a table",
     "array": "a list",
 }
-# A table that only one kind of file has, with the kind and which file to name.
+# By a table that only one kind of file has: the kind, and what to do if it is the wrong one.
 _KINDS = {
     "site": ("a SITE.toml", "name the file that fieldlum new wrote"),
     "setup": ("the session.toml of a session", "name its folder"),
@@ -45,10 +46,10 @@ _KINDS = {
 
 
 def convert(value: object, kind: type[T], *, strict: bool = False) -> T:
-    """Build a record from plain values, such as those of JSON or TOML.
+    """Return a record of the type `kind`, built from plain values such as those of JSON or TOML.
 
-    strict: a text is no number. Raises ValueError for a missing entry and for a value of another
-    type, with its place.
+    strict: whether a text that states a number is refused. Raises ValueError for a missing entry
+    and for a value of another type; the error states its place.
     """
     try:
         return msgspec.convert(value, kind, strict=strict)
@@ -57,7 +58,11 @@ def convert(value: object, kind: type[T], *, strict: bool = False) -> T:
 
 
 def _reason(text: str, value: Any) -> str:
-    """Return what msgspec reports, in words for a reader who does not know Python."""
+    """Return what msgspec reports, in words for a user who does not know Python.
+
+    text: of msgspec's error, which ends with the place as `$.key[0].key`; value: in which that
+    place is.
+    """
     text, _, place = text.partition(" - at `$")
     place = place.rstrip("`").lstrip(".")
     text = re.sub(r"Object missing required field `(.*)`", r"no entry '\1'", text)
@@ -74,11 +79,12 @@ def _reason(text: str, value: Any) -> str:
 
 
 def _words(kinds: str) -> str:
+    """Return types such as "int | null" in words for a user."""
     return " or ".join(_WORDS.get(kind, kind) for kind in kinds.split(" | "))
 
 
 def build(cls: type[T], table: TomlTable, where: str, *, strict: bool = True) -> T:
-    """Build the record `cls` from a TOML table, and check every key and value by its type hints.
+    """Return a record of the type `cls`, built from a TOML table; check every key and value.
 
     Nested dataclasses, tuples and Literals are built and checked too. A key that is not in the
     table gets the field's default. where: name of the file or table, for errors. strict: as
@@ -87,16 +93,16 @@ def build(cls: type[T], table: TomlTable, where: str, *, strict: bool = True) ->
     """
     keys = typing.get_type_hints(cls)
     for key in (key for key in _KINDS if key in table and key not in keys):
-        own = (f"a file with the tables {', '.join(sorted(keys))}", "name another file")
-        expected, remedy = next((kind for name, kind in _KINDS.items() if name in keys), own)
+        any_kind = (f"a file with the tables {', '.join(sorted(keys))}", "name another file")
+        expected, remedy = next((kind for name, kind in _KINDS.items() if name in keys), any_kind)
         raise InputError(where, _KINDS[key][0], expected, remedy)
-    _refuse(cls, table, where)
+    _check_keys_and_numbers(cls, table, where)
     with input_errors(where, "", "correct the value", ValueError):
         return convert(table, cls, strict=strict)
 
 
-def _refuse(hint: Any, value: Any, where: str) -> None:
-    """Raise InputError for an unknown key, or a number that is not finite, at any depth.
+def _check_keys_and_numbers(hint: Any, value: Any, where: str) -> None:
+    """Raise InputError for an unknown key or word, or a number that is not finite, at any depth.
 
     hint: the type that the value must have; where: the file and the place in it, for the error.
     """
@@ -109,20 +115,22 @@ def _refuse(hint: Any, value: Any, where: str) -> None:
             raise InputError(where, f"the value {value!r}", expected, f"correct the value{near}")
     if isinstance(value, list | tuple):
         for number, inner in enumerate(value, start=1):
-            _refuse(hint, inner, f"{where} #{number}")
+            _check_keys_and_numbers(hint, inner, f"{where} #{number}")
     if not isinstance(value, dict):
         return
     kind = next((part for part in (hint, *typing.get_args(hint)) if _is_record(part)), None)
-    keys_of_kind = typing.get_type_hints(kind) if kind is not None else dict.fromkeys(value)
+    # A table that is no record, such as one by name, can have any key.
+    hints = typing.get_type_hints(kind) if kind is not None else dict.fromkeys(value)
     for key, inner in value.items():
-        if key not in keys_of_kind:
-            keys = f"known keys: {', '.join(sorted(keys_of_kind)) or 'none'}"
-            remedy = did_you_mean(key, keys_of_kind).removeprefix("; ") or keys
+        if key not in hints:
+            keys = f"known keys: {', '.join(sorted(hints)) or 'none'}"
+            remedy = did_you_mean(key, hints).removeprefix("; ") or keys
             raise InputError(where, f"unknown key '{key}'", remedy=remedy)
-        _refuse(keys_of_kind[key], inner, f"{where} [{key}]")
+        _check_keys_and_numbers(hints[key], inner, f"{where} [{key}]")
 
 
 def _is_record(kind: Any) -> bool:
+    """Return whether a type is a dataclass or a Struct of msgspec."""
     return is_dataclass(kind) or hasattr(kind, "__struct_fields__")
 
 
@@ -151,9 +159,9 @@ def read_toml(path: Path) -> TomlTable:
 
 
 def plain(value: Any) -> Any:
-    """Return a value in the types of TOML: a dataclass becomes a dict, and a tuple a list.
+    """Return a value in the types of TOML, at any depth.
 
-    This applies at any depth. Fields and dict entries that are None are omitted.
+    A dataclass becomes a dict, and a tuple a list. Fields and entries that are None are omitted.
     """
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))

@@ -97,12 +97,12 @@ class RoomOverview:
 
 def overview_of(folder: Path, name: str) -> RoomOverview:
     """Read the session `name` in a folder; after any error, `broken` states what is wrong."""
-    from fieldlum.capture.status import status
     from fieldlum.session.slot_states import slots_ahead
+    from fieldlum.session.stage_status import stage_status
 
     try:
         session = open_session(folder / name)
-        stages, pairs = status(session), PairsFile.find(session.pairs)
+        stages, pairs = stage_status(session), PairsFile.find(session.pairs)
         annual, capture = newest_annual(session), stages["capture"]
         year = PredictFile() if annual is None else annual.summary
         best, worst = best_and_worst(year.protection) or (None, None)

@@ -312,7 +312,8 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
 
     if path.is_dir() or path.suffix.lower() in (".dgp", ".ill"):
         return _read_matrix(path, azimuths_deg)
-    table = strict_csv.read_table(path, "an hourly table", "export one row an hour", marks="\t,")
+    expected, remedy = "an hourly table", "export one row an hour"
+    table = strict_csv.read_table(path, expected, remedy, separators="\t,")
     names = [name.lower() for name in table.names]
     strict_csv.check_names(path, names)
     columns = {name: k for k, name in enumerate(names)}

@@ -77,7 +77,7 @@ class DayFiles:
         self.close()
         path = self._folder / f"{day}.csv"
         spoilt = False
-        files.separate(path)
+        files.break_hard_links(path)
         try:
             self.cut_bytes += files.cut_torn_tail(
                 path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None

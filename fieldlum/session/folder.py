@@ -269,7 +269,7 @@ def _open(path: Path, flags: int) -> int:
     for root, top in zip(reversed(place.parents), place.parts[1:], strict=True):
         if top.partition(".")[0] in _checked_stems() and (root / "session.toml").exists():
             return open_inside(root, place, flags)
-    return files.open_anywhere(path, flags)
+    return files.open_file(path, flags, follow_links=True)
 
 
 files.opener = _open

@@ -75,7 +75,7 @@ class Journal:
             )
 
     def _open(self) -> int:
-        files.separate(self._path)
+        files.break_hard_links(self._path)
         handle = open_inside(self._root, self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
         if self._flush:
             files.sync_folder(self._root)

@@ -28,13 +28,14 @@ from fieldlum.sky import sun
 from fieldlum.web.server import json_body, picture_routes, static_route
 from fieldlum.web.snapshot import scale_of
 
-_PATCH_HEIGHT_PX = 90  # of the sun patch that is drawn: 2 degrees a pixel; chosen
-_NUMBERS_KEPT = ("width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m", "wall_azimuth_deg")
+_PATCH_HEIGHT_PX = 90  # of the map from which sun patches are outlined: 2 degrees a pixel; chosen
+# The fields of `Room` that clicks measure, except camera_z_m, which the user states.
+_CLICKED_FIELDS = ("width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m", "wall_azimuth_deg")
 
 
 @dataclass(frozen=True, slots=True)
 class ClickedPicture:
-    """The panorama whose corners the user clicks; slot: its id; grid: its pixels and heading."""
+    """The panorama whose corners the user clicks; slot: its id; grid: its size and heading."""
 
     session: Session
     slot: str
@@ -42,37 +43,36 @@ class ClickedPicture:
 
     @classmethod
     def of(cls, session: Session, slot: str = "") -> ClickedPicture:
-        """Return the panorama of a slot, or of "" the one with the highest sun.
+        """Return the panorama of a slot; for "" that with the highest sun.
 
         Raises InputError if it does not exist, NotEnoughDataError if no slot is merged.
         """
-        files = session.panorama_files()
-        chosen = next((path for path in files if path.stem == slot), None) if slot else None
-        if not files:
+        merged = {path.stem: path for path in session.panorama_files()}
+        if not merged:
             remedy = f"run fieldlum merge {session.root}"
             raise NotEnoughDataError(f"{session.root}: no merged panorama; {remedy}")
-        if slot and chosen is None:
-            expected = f"a slot such as {files[-1].stem}"
+        if slot and slot not in merged:
+            expected = f"a slot such as {max(merged)}"
             raise InputError(session.root, f"no panorama {slot}", expected, "see panoramas/")
-        heights_deg = {slot.id: slot.sun_altitude_deg for slot in session.slots()}
-        path = chosen or max(files, key=lambda file: heights_deg.get(file.stem, -90.0))
-        panorama = read_panorama(path)
+        altitudes_deg = {slot.id: slot.sun_altitude_deg for slot in session.slots()}
+        slot = slot or max(merged, key=lambda name: altitudes_deg.get(name, -90.0))
+        panorama = read_panorama(merged[slot])
         height, width = panorama.luminance_cdm2.shape
-        return cls(session, path.stem, ClickGrid(height, width, panorama.heading_deg))
+        return cls(session, slot, ClickGrid(height, width, panorama.heading_deg))
 
 
 def clicked_table(clicked: ClickedRoom) -> JsonTable:
-    """Return a clicked room with the keys of the page's JSON.
+    """Return a clicked room as JSON for the page.
 
-    rows: {"name", "value", "u"} for each length [m] and angle [deg] of `Room`, windows as
-    window.NUMBER.left_m from 0; faces: compass direction of the south wall; walls: of each window;
-    misfit_px, notes: as in `ClickedRoom`.
+    rows: {"name", "value", "u"} for each clicked length [m] and angle [deg], u: its standard
+    uncertainty; those of windows are named window.NUMBER.left_m, from 0; faces: compass direction
+    of the south wall; walls: the wall of each window; misfit_px, notes: as in `ClickedRoom`.
     """
     room = clicked.room
-    rows = [(name, getattr(room, name)) for name in _NUMBERS_KEPT]
-    for place, window in enumerate(room.window):
+    rows = [(name, getattr(room, name)) for name in _CLICKED_FIELDS]
+    for number, window in enumerate(room.window):
         names = ("left_m", "width_m", "sill_m", "height_m")
-        rows += [(f"window.{place}.{name}", getattr(window, name)) for name in names]
+        rows += [(f"window.{number}.{name}", getattr(window, name)) for name in names]
     return {
         "rows": [{"name": name, "value": value, "u": clicked.u[name]} for name, value in rows],
         "faces": compass_text(room.wall_azimuth_deg),
@@ -85,24 +85,24 @@ def clicked_table(clicked: ClickedRoom) -> JsonTable:
 def save_room(session: Session, clicked: ClickedRoom, *, replace_room: bool) -> tuple[Path, bool]:
     """Write scene/clicked.toml, a complete SITE.toml with the clicked room.
 
-    Also write the room into the session if it has none, or if `replace_room`. Return the file, and
-    whether the room was written into the session. A box that the session has keeps what clicks do
-    not measure, such as reflectances.
+    Also write the room into the session if it has none, or if `replace_room`. Return the path of
+    clicked.toml, and whether the room was written into the session. If the session has a box room,
+    the file has its values of what clicks do not measure, such as reflectances.
     """
     setup = session.site_file()
     room = clicked.room
     if setup.room is not None and setup.room.kind == "box":
-        lengths = {name: getattr(room, name) for name in (*_NUMBERS_KEPT, "camera_z_m")}
-        room = replace(setup.room, window=room.window, **lengths)
+        clicked_values = {name: getattr(room, name) for name in (*_CLICKED_FIELDS, "camera_z_m")}
+        room = replace(setup.room, window=room.window, **clicked_values)
     camera = replace(setup.camera, height_m=room.camera_z_m)
-    new = replace(setup, room=room, camera=camera)
+    new_setup = replace(setup, room=room, camera=camera)
     path = session.root / "scene" / "clicked.toml"
     lines = ["# Written by fieldlum scene click. Standard uncertainties, from the clicks' pixels:"]
     lines += [f"#   {name} +- {u:.3g}" for name, u in clicked.u.items()]
-    write_file(path, "\n".join(lines) + "\n\n" + tomli_w.dumps(site_table(new)))
+    write_file(path, "\n".join(lines) + "\n\n" + tomli_w.dumps(site_table(new_setup)))
     is_written = setup.room is None or replace_room
     if is_written:
-        update_session(session, {"setup": site_table(new)})
+        update_session(session, {"setup": site_table(new_setup)})
     return path, is_written
 
 
@@ -110,7 +110,7 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
     """Return the web routes of the page; camera_height_m: initial camera height on the page [m]."""
     session = picture.session
 
-    def about(request: Request) -> Response:
+    def describe(request: Request) -> Response:
         """Answer with the panorama's size and scale, and whether the site has a room."""
         setup, path = session.site_file(), session.panorama(picture.slot)
         answer = {
@@ -124,27 +124,31 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
         }
         return JSONResponse(answer)
 
-    def solved(clicked: ClickedRoom, replace_room: bool) -> JsonTable:
+    def show(clicked: ClickedRoom, replace_room: bool) -> JsonTable:
+        """Return the clicked room, its edges and sun patches in pixels; nothing is written."""
         lines = outline_pixels(clicked.room, picture.grid)
         return clicked_table(clicked) | {"lines": lines, "patches": _patches(clicked.room, picture)}
 
-    def saved(clicked: ClickedRoom, replace_room: bool) -> JsonTable:
+    def save(clicked: ClickedRoom, replace_room: bool) -> JsonTable:
+        """Write the clicked room; return the file, and whether the session got the room."""
         path, is_written = save_room(session, clicked, replace_room=replace_room)
         return {"file": str(path), "taken": is_written}
 
-    def posted(path: str, make: Callable[[ClickedRoom, bool], JsonTable]) -> Route:
-        """Return the route of `make` for posted clicks; an InputError becomes a sentence."""
+    def click_route(path: str, use: Callable[[ClickedRoom, bool], JsonTable]) -> Route:
+        """Return a route that answers posted clicks with `use` of their room.
 
-        def answer(asked: Mapping[str, Any]) -> JsonTable:
-            clicks, height_m = clicks_from_rows(asked["clicks"]), float(asked["camera_height_m"])
+        An InputError becomes a sentence on the page.
+        """
+
+        def answer(body: Mapping[str, Any]) -> JsonTable:
+            clicks, height_m = clicks_from_rows(body["clicks"]), float(body["camera_height_m"])
             clicked = room_from_clicks(clicks, picture.grid, height_m)
-            return make(clicked, asked.get("replace") is True)
+            return use(clicked, body.get("replace") is True)
 
         async def handle(request: Request) -> Response:
-            # bytes: far more than the clicks of a room
-            asked = await json_body(request, 200_000)
+            body = await json_body(request, 200_000)  # bytes: far more than the clicks of a room
             try:
-                return JSONResponse(await asyncio.to_thread(answer, asked))
+                return JSONResponse(await asyncio.to_thread(answer, body))
             except InputError as error:
                 return JSONResponse({"error": str(error)})
             except (ValueError, TypeError, KeyError):
@@ -156,15 +160,19 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
         static_route("/", "click.html"),
         static_route("/click.js", "click.js"),
         static_route("/page.css", "page.css"),
-        Route("/room.json", about),
-        posted("/solve.json", solved),
-        posted("/save.json", saved),
+        Route("/room.json", describe),
+        click_route("/solve.json", show),
+        click_route("/save.json", save),
         *picture_routes(session),
     ]
 
 
 def _patches(room: Room, picture: ClickedPicture) -> list[list[float]]:
-    """Return outlines of the sun patch at the picture's hour, as pixel positions x, y, x, y ..."""
+    """Return the outlines of the sun patches in the room at the picture's time.
+
+    An outline is a list x, y, x, y ... of pixel positions in the picture. The list is empty without
+    sun above the horizon.
+    """
     import cv2
 
     site = picture.session.site_file().site
@@ -175,14 +183,13 @@ def _patches(room: Room, picture: ClickedPicture) -> list[list[float]]:
     altitude, azimuth = float(at.altitude_deg[0]), float(at.azimuth_deg[0])
     if altitude <= 0:
         return []
-    toward = direction(altitude, azimuth)[None]
-    heading = picture.grid.heading_deg
-    size = _PATCH_HEIGHT_PX
-    light = sun_patches(room, toward, 1.0, height=size, heading_deg=heading, sub=1)[0]  # [H, W]
-    # the dim rim of a patch is no outline
-    lit = light > 0.05 * max(float(light.max()), 1e-12)
-    mask = np.ascontiguousarray(lit.astype(np.uint8))
+    to_sun = direction(altitude, azimuth)[None]  # [1, 3]
+    heading, size = picture.grid.heading_deg, _PATCH_HEIGHT_PX
+    light = sun_patches(room, to_sun, 1.0, height=size, heading_deg=heading, sub=1)[0]  # [H, W]
+    # Without the dim rim of a patch, where the sun is partly hidden. Chosen.
+    is_lit = light > 0.05 * max(float(light.max()), 1e-12)
+    mask = np.ascontiguousarray(is_lit.astype(np.uint8))
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    factor = picture.grid.height_px / _PATCH_HEIGHT_PX
-    outlines = [(contour.reshape(-1, 2) + 0.5) * factor for contour in contours if len(contour) > 2]
+    scale = picture.grid.height_px / size
+    outlines = [(contour.reshape(-1, 2) + 0.5) * scale for contour in contours if len(contour) > 2]
     return [np.round(outline, 1).ravel().tolist() for outline in outlines]

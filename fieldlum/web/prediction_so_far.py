@@ -1,8 +1,9 @@
-"""Compute the answer so far: the commands from frames to glare classes, at low priority.
+"""Predict the year's glare classes from the captures so far, while a capture runs.
 
-Each command runs in its own process. It is paused before a slot begins and continues after it, so
-that a capture on the same computer never waits. Merge and pair write into the
-session; the model and the year are in its folder watch/, separate from the user's own.
+The commands merge, pair, train and predict run at low priority, each in its own process. It is
+paused before a slot begins and continues after it, so that a capture on the same computer never
+waits. Merge and pair write into the session; the model and the year are in its folder watch/,
+separate from the user's own.
 """
 
 import os
@@ -14,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import psutil
 
@@ -26,19 +27,18 @@ from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import Sidecar, newest_sidecar
 
-# A bracket begins with the camera waking up: a minute before it the computer is the capture's.
-# Chosen.
+# Nothing is computed this long before a slot, in which the camera wakes up. Chosen.
 QUIET_BEFORE_S = 90.0
 ANSWER_EVERY = timedelta(hours=6)  # fitting takes minutes: at most a few times a day; chosen
-MIN_CAPTURES = 8  # fewer leave every class open; chosen
+MIN_CAPTURES = 8  # with fewer, no glare class can be excluded; chosen
 _MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
 PROGRAM = (sys.executable, "-c", _MAIN)
 
 
 class Moment(NamedTuple):
-    """State that decides whether there is time to compute.
+    """The present state of a capture, which decides whether there is time to compute.
 
-    is_quiet: no bracket is running, none begins within 90 s, and time is not simulated and fast.
+    is_quiet: whether no bracket is running, none begins within 90 s, and time is not simulated.
     captured: number of complete slots.
     """
 
@@ -50,9 +50,10 @@ class Moment(NamedTuple):
 class Worker:
     """Runs merge, pair, train and predict of a session in a thread, while no slot is near.
 
-    moment: returns the present state of the capture. weather: a file, or "synthetic". program:
-    starts fieldlum; look_every_s: pause between two looks for work; problem: error of the last
-    step, or ""; step: what is computed now, or "".
+    moment: returns the present state of the capture. weather: path of a weather file, or
+    "synthetic". program: words of the command line that start fieldlum; look_every_s: pause before
+    it looks for new work again; problem: error of the last step, or ""; step: name of the command
+    that is running, or "".
     """
 
     session: Session
@@ -64,8 +65,8 @@ class Worker:
     step: str = ""
     _stop: threading.Event = field(default_factory=threading.Event)
     _thread: threading.Thread | None = None
-    _merged_at: int = -1
-    _answered_at: int = -1
+    _merged_at: int = -1  # number of complete slots at the last merge
+    _answered_at: int = -1  # the same at the last training
 
     @property
     def folder(self) -> Path:
@@ -84,6 +85,7 @@ class Worker:
             self._thread.join(20.0)
 
     def _loop(self) -> None:
+        """Look for work until `close`; the thread runs this."""
         while not self._stop.wait(self.look_every_s):
             with suppress(OSError):  # a share that is away: look again later
                 self.work()
@@ -92,20 +94,21 @@ class Worker:
         """Merge and pair new brackets if no slot is near; then train and predict if it is time.
 
         It is time if 8 or more slots are captured, slots were captured since the last training of
-        this process, and the last answer (predicted year) is 6 or more hours old or missing.
+        this process, and the last predicted year is 6 or more hours old or missing.
         """
         now = self.moment()
         if not now.is_quiet or now.captured == 0:
             return
         if now.captured != self._merged_at:
             root = str(self.session.root)
-            before = newest_sidecar(self.session)  # what the user merged is not merged otherwise
+            # With the options that the user chose, so that `merge` does not repeat finished work.
+            before = newest_sidecar(self.session)
             options = () if before is None else _merge_options(before)
-            good = self._run("merge", "merge", root, "--scheduler", "processes:1", *options)
-            good = good and self._run("pair", "pair", root)
+            succeeded = self._run("merge", root, "--scheduler", "processes:1", *options)
+            succeeded = succeeded and self._run("pair", root)
             if not self._stop.is_set():
                 self._merged_at = now.captured
-            if not good:
+            if not succeeded:
                 return
         if now.captured != self._answered_at and now.captured >= MIN_CAPTURES:
             last = read_answer(self.session)
@@ -113,30 +116,32 @@ class Worker:
                 self._answer(now.captured)
 
     def _answer(self, captured: int) -> None:
-        model, annual, root = self.folder / "model", self.folder / "annual", str(self.session.root)
-        fitting = ("train", root, "--model", "transport", "--out", str(model))
-        year = ("predict", str(model), "--weather", self.weather, "--out", str(annual))
-        _ = self._run("train", *fitting) and self._run("predict", *year)
+        """Train a model and predict a year with it; captured: number of complete slots."""
+        root, model, annual = str(self.session.root), self.folder / "model", self.folder / "annual"
+        if self._run("train", root, "--model", "transport", "--out", str(model)):
+            self._run("predict", str(model), "--weather", self.weather, "--out", str(annual))
         if not self._stop.is_set():
             self._answered_at = captured
 
     def _run(self, name: str, *arguments: str) -> bool:
-        """Run one command at the lowest priority and return whether it succeeded.
+        """Run the command `name` at the lowest priority and return whether it succeeded.
 
-        The command is paused while a slot is near.
+        The command is paused while a slot is near. Its last line on stderr becomes `problem` if it
+        fails.
         """
         if self._stop.is_set():
             return False
         self.folder.mkdir(exist_ok=True)
         self.step = name
-        notes = self.folder / f"{name}.err"
-        one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-        how: JsonTable = {"env": {**os.environ, **one}, "start_new_session": True}
+        messages = self.folder / f"{name}.err"
+        threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        env = {**os.environ, **dict.fromkeys(threads, "1")}
+        how: JsonTable = {"env": env, "start_new_session": True}
         how |= dict.fromkeys(("stdin", "stdout"), subprocess.DEVNULL)
         try:
-            notes.unlink(missing_ok=True)  # a link of this name would lead elsewhere
-            with notes.open("xb") as errors:
-                process = psutil.Popen([*self.program, *arguments], stderr=errors, **how)
+            messages.unlink(missing_ok=True)  # a link of this name would lead elsewhere
+            with messages.open("xb") as stderr:
+                process = psutil.Popen([*self.program, name, *arguments], stderr=stderr, **how)
                 with suppress(psutil.Error):  # 19 is the lowest priority of POSIX
                     process.nice(getattr(psutil, "IDLE_PRIORITY_CLASS", 19))
                 code = self._wait_with_pauses(process)
@@ -145,38 +150,41 @@ class Worker:
         if code == 0:
             self.problem = ""
         elif not self._stop.is_set():
-            lines = notes.read_text("utf-8", "replace").strip().splitlines()
+            lines = messages.read_text("utf-8", "replace").strip().splitlines()
             self.problem = (lines or [f"{name}: exit code {code}"])[-1][:400]
         return code == 0
 
     def _wait_with_pauses(self, process: psutil.Popen) -> int | None:
-        """Wait until a process ends, pause it near slots, and return its exit code."""
-        stopped = False
+        """Wait until a process ends, pause it near slots, and return its exit code.
+
+        `close` kills it.
+        """
+        is_paused = False
         while True:
             with suppress(psutil.TimeoutExpired, subprocess.TimeoutExpired):
                 return process.wait(min(self.look_every_s, 1.0))
             if self._stop.is_set():
                 _signal_tree(process, "kill")
                 return process.wait()
-            if self.moment().is_quiet == stopped:
-                _signal_tree(process, "resume" if stopped else "suspend")
-                stopped = not stopped
+            if self.moment().is_quiet == is_paused:
+                _signal_tree(process, "resume" if is_paused else "suspend")
+                is_paused = not is_paused
 
 
-def _signal_tree(process: psutil.Popen, act: str) -> None:
+def _signal_tree(process: psutil.Popen, action: Literal["kill", "suspend", "resume"]) -> None:
     """Kill, suspend or resume a process and its children; those that have ended are skipped."""
     with suppress(psutil.Error):
         for member in (process, *process.children(recursive=True)):
             with suppress(psutil.Error):
-                getattr(member, act)()
+                getattr(member, action)()
 
 
 def read_answer(session: Session) -> JsonTable | None:
-    """Return what `Worker` predicted last, from the folder watch/; None for a missing or bad file.
+    """Return what `Worker` predicted last, as JSON for the page; None if a file cannot be used.
 
-    t_utc: its time; captures: number of captures of its model; weather: its name; synthetic:
-    whether it is a synthetic year; warnings: texts; protection: a `DirectionYear` for each view
-    direction.
+    The files are in the session's folder watch/. t_utc: its time; captures: number of captures of
+    its model; weather: its name; synthetic: whether it is a synthetic year; warnings: texts;
+    protection: a `DirectionYear` for each view direction.
     """
     folder = session.root / "watch"
     try:
@@ -195,11 +203,10 @@ def read_answer(session: Session) -> JsonTable | None:
 
 
 def answer_table(session: Session, worker: Worker | None) -> JsonTable:
-    """Return the last answer and what is computed now, with the keys of the page's JSON.
+    """Return the last answer and what is computed now, as JSON for the page.
 
-    last: `read_answer`, or None; computes: whether this process has a worker; step: what it
-    computes now, ""; problem: error of its last step, ""; least_captures: needed for an answer.
-    worker: None if nothing is computed here.
+    last: `read_answer`; computes: whether this process has a worker; step, problem: as of `Worker`;
+    least_captures: number that an answer needs. worker: None if nothing is computed here.
     """
     step, problem = (worker.step, worker.problem) if worker else ("", "")
     doing = {"computes": worker is not None, "step": step, "problem": problem}
@@ -207,7 +214,7 @@ def answer_table(session: Session, worker: Worker | None) -> JsonTable:
 
 
 def _merge_options(sidecar: Sidecar) -> tuple[str, ...]:
-    """Return options of `fieldlum merge`, with which it merges as it merged this bracket."""
+    """Return the options of `fieldlum merge` with which a bracket was merged: size and fit."""
     height, fit = sidecar.inputs.get("height"), sidecar.inputs.get("fit")
     size = ("--size", f"{2 * height}x{height}") if isinstance(height, int) else ()
     return size if fit is None else (*size, "--fit" if fit else "--no-fit")

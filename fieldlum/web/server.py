@@ -1,4 +1,4 @@
-"""The web server of the pages, which answers requests with the token or its cookie.
+"""The web server of the pages, which answers requests that have the token or its cookie.
 
 Every program on this computer, and every web site open in its browser, can send requests to
 loopback. So the token is needed on loopback too, and the Host and Origin headers must name this
@@ -35,9 +35,10 @@ from fieldlum.web.snapshot import Snapshots, picture_png
 
 
 async def json_body(request: Request, max_bytes: int) -> Mapping[str, Any]:
-    """Return the JSON object of a request of at most `max_bytes`, else raise HTTPException.
+    """Return the JSON object in the body of a request.
 
-    Its status is 415 for another content type, 413 for a longer body, 400 for other content.
+    Raises HTTPException with status 415 for another content type, 413 for a body longer than
+    `max_bytes`, 400 for other content.
     """
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise HTTPException(415)
@@ -47,12 +48,12 @@ async def json_body(request: Request, max_bytes: int) -> Mapping[str, Any]:
         if len(data) > max_bytes:
             raise HTTPException(413)
     try:
-        asked = json.loads(data)
+        body = json.loads(data)
     except (ValueError, RecursionError):
         raise HTTPException(400) from None
-    if not isinstance(asked, dict):
+    if not isinstance(body, dict):
         raise HTTPException(400)
-    return asked
+    return body
 
 
 SECURITY_HEADERS = {
@@ -78,37 +79,39 @@ SECURITY_HEADERS = {
 class PatientProtocol(H11Protocol):
     """A connection that is closed if its first request is not complete after five seconds.
 
-    So silent connections cannot use up the files that the process may open.
+    Otherwise silent connections could use up the number of files that the process may open.
     """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Accept a connection."""
+        """Accept a connection, and look at it again after five seconds."""
         super().connection_made(transport)
-        # a phone on slow Wi-Fi needs under a second
+        # Five seconds are chosen: a phone on slow Wi-Fi needs under one.
         self.loop.call_later(5.0, self._end_if_silent)
 
     def _end_if_silent(self) -> None:
-        if self.cycle is None:  # no request arrived with all its headers
+        """Close the connection if no request has arrived with all its headers."""
+        if self.cycle is None:
             self.transport.abort()
 
 
 STATIC = Path(__file__).parent / "static"
-# The address of a picture has the stamp of its file: one that is merged again has another address.
+# Sent with pictures, which a browser need not request again: the address of a picture contains the
+# stamp of its file, so that a picture that is merged again has another address.
 _CACHED = {"Cache-Control": "private, max-age=31536000, immutable"}  # 365 days
 
 
 class Guard:
-    """ASGI layer: answer the requests of the page itself, with the token or its cookie.
+    """ASGI layer that passes requests with the token or its cookie on to `app`, and refuses others.
 
     All answers, also refusals, get security headers. After the first request with the token the
-    browser uses the cookie. names: host names and addresses of this computer without the port.
+    browser uses the cookie. port: of this server; names: host names and addresses of this computer.
     """
 
     def __init__(self, app: ASGIApp, port: int, names: Iterable[str]) -> None:
         # 256 random bits cannot be guessed, so wrong tokens need no counting
         self._app, self.token = app, secrets.token_urlsafe(32)
-        # Cookies are shared by all ports of a host: two sessions that are watched need two names.
-        self._name, self._cookie = f"fieldlum-{port}", secrets.token_urlsafe(32)
+        # All ports of a host share cookies: two servers need two names.
+        self._cookie_name, self._cookie = f"fieldlum-{port}", secrets.token_urlsafe(32)
         self.hosts = frozenset(f"{name}:{port}".lower() for name in names)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -116,7 +119,8 @@ class Guard:
         if scope["type"] != "http":  # no web sockets here
             return
 
-        async def secured(message: Message) -> None:
+        async def send_secured(message: Message) -> None:
+            """Send a message, with the security headers in the first one of an answer."""
             if message["type"] == "http.response.start":
                 added = MutableHeaders(scope=message)
                 for name, value in SECURITY_HEADERS.items():
@@ -124,42 +128,44 @@ class Guard:
             await send(message)
 
         answer: ASGIApp = self._refusal_or_cookie(Request(scope)) or self._app
-        await answer(scope, receive, secured)
+        await answer(scope, receive, send_secured)
 
     def _refusal_or_cookie(self, request: Request) -> Response | None:
-        """Return a refusal, or what turns the token into a cookie; None to answer the request."""
+        """Return a refusal, or an answer that sets the cookie; None to pass the request on."""
 
         def refused(status: int, text: str) -> Response:
+            """Return a refusal, after which the connection is closed."""
             return PlainTextResponse(f"{text}\n", status, {"connection": "close"})
 
         headers, method = request.headers, request.method
         if headers.get("host", "").lower() not in self.hosts:
             return refused(421, "This server does not have that name.")
         origin = headers.get("origin", "")
-        own = not origin or origin.lower() in {f"http://{host}" for host in self.hosts}
-        if not own or headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+        is_own = not origin or origin.lower() in {f"http://{host}" for host in self.hosts}
+        if not is_own or headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
             return refused(403, "The request comes from another site.")
         if method not in ("GET", "HEAD", "POST"):
             return refused(405, "Only GET, HEAD and POST are answered.")
         if method == "POST" and not origin:
             return refused(403, "A change needs the header Origin.")
         token = request.query_params.get("token", "") if request.scope["path"] == "/" else ""
-        has_cookie = _same(request.cookies.get(self._name, ""), self._cookie)
+        has_cookie = _same(request.cookies.get(self._cookie_name, ""), self._cookie)
         if has_cookie and not token:
             return None
-        if has_cookie or (method == "GET" and _same(token, self.token)):  # no token in the address
-            cookie = f"{self._name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
+        if has_cookie or (method == "GET" and _same(token, self.token)):
+            cookie = f"{self._cookie_name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
+            # A redirect, so that the browser does not keep the token in its address.
             return Response(status_code=303, headers={"location": "/", "set-cookie": cookie})
         return refused(401, "Open the address with the token that the terminal printed first.")
 
 
 def _same(text: str, wanted: str) -> bool:
-    """Compare in constant time."""
+    """Return whether two texts are equal; the time does not depend on where they differ."""
     return hmac.compare_digest(text.encode(), wanted.encode())
 
 
 def static_route(path: str, name: str) -> Route:
-    """Return a route at `path` for the file `name` of this package."""
+    """Return a route that answers requests of `path` with the file `name` in web/static/."""
     return Route(path, lambda request: FileResponse(STATIC / name))
 
 
@@ -172,10 +178,10 @@ def picture_routes(session: Session) -> list[Route]:
         try:
             low, high = (float(request.query_params[name]) for name in ("low", "high"))
             width = int(request.query_params.get("width", "920"))
-            safe = slot_id(parse_utc(slot)) == slot  # as a part of a file's name
+            is_slot = slot_id(parse_utc(slot)) == slot  # else it could be the path of another file
         except (KeyError, ValueError):
             raise HTTPException(400) from None
-        if not (safe and 1e-6 <= low < high <= 1e12 and width >= 16):
+        if not (is_slot and 1e-6 <= low < high <= 1e12 and width >= 16):
             raise HTTPException(400)
         try:
             data = picture_png(session.panorama(slot), width, low, high)
@@ -199,43 +205,46 @@ def watch_routes(
     """
 
     def state() -> Mapping[str, object]:
-        answer = session.root / "watch" / "annual" / "predict.json"
-        written = answer.stat().st_mtime_ns if answer.is_file() else 0
+        """Return the session's state, and a text that changes with /answer.json."""
+        predicted = session.root / "watch" / "annual" / "predict.json"
+        written_ns = predicted.stat().st_mtime_ns if predicted.is_file() else 0
         doing = [worker.step, worker.problem] if worker else []
-        return {**snapshots.state(), "answer": " ".join([str(written), *doing])}
+        return {**snapshots.state(), "answer": " ".join([str(written_ns), *doing])}
 
     def day(request: Request) -> Response:
         """Answer with the irradiance and slots of a local day."""
         try:
-            wanted = date.fromisoformat(request.path_params["day"])
+            local_day = date.fromisoformat(request.path_params["day"])
         except ValueError:
             raise HTTPException(404) from None
-        if not 1970 <= wanted.year <= 2999:
+        if not 1970 <= local_day.year <= 2999:
             raise HTTPException(404)
-        return _table(lambda: snapshots.day(wanted))
+        return _json_response(lambda: snapshots.day(local_day))
 
     return [
         static_route("/", "watch.html"),
         static_route("/watch.js", "watch.js"),
         static_route("/page.css", "page.css"),
-        Route("/state.json", lambda request: _table(state)),
-        Route("/answer.json", lambda request: _table(lambda: answer_table(session, worker))),
-        Route("/calendar.json", lambda request: _table(snapshots.calendar)),
+        Route("/state.json", lambda request: _json_response(state)),
+        Route(
+            "/answer.json", lambda request: _json_response(lambda: answer_table(session, worker))
+        ),
+        Route("/calendar.json", lambda request: _json_response(snapshots.calendar)),
         Route("/day/{day}.json", day),
         *picture_routes(session),
     ]
 
 
-def _table(make: Callable[[], Mapping[str, object]]) -> Response:
-    """Return the table of `make` as JSON; status 503 if the session cannot be read now."""
+def _json_response(compute: Callable[[], Mapping[str, object]]) -> Response:
+    """Return the table that `compute` returns as JSON; status 503 if it cannot be computed now."""
     try:
-        return JSONResponse(make())
-    except (InputError, OSError, ValueError) as error:  # a number that JSON does not have
+        return JSONResponse(compute())
+    except (InputError, OSError, ValueError) as error:  # ValueError: JSON has no NaN
         return JSONResponse({"error": str(error)}, 503)
 
 
 class Served(NamedTuple):
-    """A server that is ready to run: the socket, which listens, and the address with the token."""
+    """A server that is ready to run: its socket, which listens, and its address with the token."""
 
     app: ASGIApp
     socket: socket.socket
@@ -250,15 +259,16 @@ class Served(NamedTuple):
 
 
 def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
-    """Listen on loopback, or on all interfaces for `lan`; return the server of `routes`.
+    """Open a port and return the server that answers `routes` there.
 
-    Port 0 chooses a free port. Raises DeviceError if the port cannot be used.
+    port: 0 chooses a free one; lan: whether other computers of the network can reach it. Raises
+    DeviceError if the port cannot be used.
     """
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind(("0.0.0.0" if lan else "127.0.0.1", port))
-        listener.listen()  # the printed address works at once
+        listener.listen()  # before the address is printed, so that it works at once
     except OSError as error:
         listener.close()
         remedy = "give another --port N, or --port 0 for a free one"
@@ -274,7 +284,10 @@ def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
 
 
 def _lan_address() -> str:
-    """Return this computer's IPv4 address in its network, "" without one. Nothing is sent."""
+    """Return this computer's IPv4 address in its network, "" without one.
+
+    Nothing is sent: to connect a UDP socket only chooses the interface.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # RFC 5737: an address for documentation
@@ -286,14 +299,12 @@ def _lan_address() -> str:
 def qr_lines(text: str) -> list[str]:
     """Return a QR code of `text` as lines of half blocks, with the required margin.
 
-    Light modules are drawn: print the lines in white on black.
+    A line shows two rows of modules. Light modules are drawn: print the lines in white on black.
     """
     import cv2
 
-    code = np.asarray(cv2.QRCodeEncoder.create().encode(text)) > 127  # light modules are true
-    code = np.pad(code, 2, constant_values=True)  # the encoder adds two of the four modules
-    if len(code) % 2:
-        code = np.pad(code, ((0, 1), (0, 0)), constant_values=True)
-    words = {(True, True): "█", (True, False): "▀", (False, True): "▄", (False, False): " "}
-    pairs = zip(code[0::2], code[1::2], strict=True)
-    return ["".join(words[bool(a), bool(b)] for a, b in zip(*pair, strict=True)) for pair in pairs]
+    light = np.asarray(cv2.QRCodeEncoder.create().encode(text)) > 127  # [n, n] modules
+    light = np.pad(light, 2, constant_values=True)  # the encoder adds two of the four modules
+    light = np.pad(light, ((0, len(light) % 2), (0, 0)), constant_values=True)  # full pairs of rows
+    blocks = np.array([" ", "▄", "▀", "█"])  # by 2 x upper + lower module
+    return ["".join(line) for line in blocks[2 * light[0::2] + light[1::2]]]

@@ -1,4 +1,4 @@
-"""Plain tables of a session for the page of `fieldlum watch`, from files that grow.
+"""Compute the tables that the page of `fieldlum watch` shows, from files that grow.
 
 Each file is read from where the last reading ended: a page that is open for a month must not read a
 month of files every few seconds, and its memory must not grow. So each line of the journal updates
@@ -43,14 +43,14 @@ _BINS = 86400 // BIN_S
 
 
 class LineTail:
-    """State that follows from the lines of a growing file; `update` reads those that are new."""
+    """State that follows from the lines of a growing file; `update` reads the new lines."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._offset, self._inode = path, 0, 0
         self.clear()
 
     def clear(self) -> None:
-        """Begin with the state of an empty file."""
+        """Set the state to that of an empty file."""
 
     def add(self, line: bytes) -> None:
         """Change the state by one line; skip a damaged one."""
@@ -75,15 +75,15 @@ class LineTail:
 
 
 class JournalFollower(LineTail):
-    """What the journal states so far.
+    """State that follows from the journal so far.
 
     states: state of each slot. events: the latest 60 for the page, without frames, starts of
-    brackets and illuminances. away: devices that do not answer now, with the time since when.
-    opened: the last `open` event (start of a capture) without a `close`, or None.
+    brackets and illuminances. away: time (UTC) since when devices do not answer, by device. opened:
+    the last `open` event (start of a capture) without a `close`, or None.
     """
 
     def clear(self) -> None:
-        """Begin with the state of an empty file."""
+        """Set the state to that of an empty journal."""
         self.states = SlotStates()
         self.events: deque[JournalEvent] = deque(maxlen=60)  # more than a page shows
         self.away: dict[str, datetime] = {}
@@ -110,13 +110,13 @@ class JournalFollower(LineTail):
 class DayBins(LineTail):
     """Mean irradiances in 720 bins of two minutes, from the logger's file of one UTC day.
 
-    flagged: mask of bins, True with an error that the instrument reported; status: number of rows
-    by such an error; last: time and global irradiance of the last row, or None.
+    flagged: mask [720], True in a bin with an error that the instrument reported; status: number of
+    rows by such an error; last: time and global irradiance [W/m2] of the last row, or None.
     """
 
     def clear(self) -> None:
-        """Begin with the state of an empty file."""
-        self._sum, self._count = np.zeros((2, _BINS, 3))
+        """Set the state to that of a day without readings."""
+        self._sum_wm2, self._count = np.zeros((2, _BINS, 3))  # columns as of `means_wm2`
         self.flagged = np.zeros(_BINS, bool)
         self.status: Counter[str] = Counter()
         self.last: tuple[datetime, float | None] | None = None
@@ -125,22 +125,23 @@ class DayBins(LineTail):
         """Change the state by one line; skip a damaged one."""
         if (sample := decode_sample(line)) is None:
             return
-        k = _bin_of(sample.t_utc)
-        row = np.array([sample.ghi_wm2, sample.dni_wm2, sample.dhi_wm2], float)
-        self._sum[k] += np.nan_to_num(row)
-        self._count[k] += np.isfinite(row)
+        number = _bin_of(sample.t_utc)
+        row_wm2 = np.array([sample.ghi_wm2, sample.dni_wm2, sample.dhi_wm2], float)
+        self._sum_wm2[number] += np.nan_to_num(row_wm2)
+        self._count[number] += np.isfinite(row_wm2)
         if sample.status:
-            self.flagged[k] = True
+            self.flagged[number] = True
             self.status[sample.status] += 1
         self.last = sample.t_utc, sample.ghi_wm2
 
     @property
-    def means(self) -> Floats:
-        """GHI, DNI and DHI, in this order, [720, 3] in W/m2; NaN without a reading."""
-        return np.where(self._count > 0, self._sum / np.maximum(self._count, 1), np.nan)
+    def means_wm2(self) -> Floats:
+        """Mean GHI, DNI and DHI of each bin, in this order, [720, 3]; NaN without a reading."""
+        return np.where(self._count > 0, self._sum_wm2 / np.maximum(self._count, 1), np.nan)
 
 
 def _bin_of(t_utc: datetime) -> int:
+    """Return the number of the bin of a time in its UTC day, from 0."""
     return (t_utc.hour * 3600 + t_utc.minute * 60 + t_utc.second) // BIN_S
 
 
@@ -149,41 +150,43 @@ def _bin_of(t_utc: datetime) -> int:
 
 
 def scale_of(paths: Sequence[Path]) -> JsonTable:
-    """Return {"low", "high", "stamp"}: one scale for several panoramas [cd/m2].
+    """Return one scale of false colours for several panoramas, as JSON for the page.
 
-    low, high: ends by `shared_scale`. stamp: a text that changes when one of them is written again.
-    A panorama that cannot be read is left out: a merge may be writing it.
+    low, high: its ends [cd/m2], by `shared_scale`; stamp: a text that changes when one of the files
+    is written again. A panorama that cannot be read is left out: `merge` may be writing it.
     """
-    ends, stamp = [], 0
+    ends, newest_ns = [], 0
     for path in paths:
         with suppress(InputError, OSError):
-            written = path.stat().st_mtime_ns
-            stamp = max(stamp, written)
-            ends.append(_ends(path, written))
+            written_ns = path.stat().st_mtime_ns
+            newest_ns = max(newest_ns, written_ns)
+            ends.append(_ends(path, written_ns))
     low, high = shared_scale(ends)
-    return {"low": low, "high": high, "stamp": f"{stamp:x}"}
+    return {"low": low, "high": high, "stamp": f"{newest_ns:x}"}
 
 
 @lru_cache(maxsize=1024)
-def _ends(path: Path, stamp: int) -> tuple[float, float] | None:
+def _ends(path: Path, written_ns: int) -> tuple[float, float] | None:
+    """Return the `luminance_ends` of a panorama; computed again if the file is written again."""
     return luminance_ends(read_panorama(path).seen_cdm2)
 
 
 def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
-    """Return a panorama in false colour as PNG, at most `width` pixels wide.
+    """Return a panorama in false colour as PNG, at most `width` and 1840 pixels wide.
 
     The scale is logarithmic from low to high [cd/m2]. Raises InputError for a damaged file, OSError
     for a missing one.
     """
     import cv2
 
-    values = read_panorama(path).seen_cdm2  # [H, W]
-    # at most four times a panorama of 460 pixels, which bounds the memory
-    if values.shape[1] > (width := min(width, 1840)):
-        height = max(1, round(values.shape[0] * width / values.shape[1]))
-        shrunk = cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
-        values = np.asarray(shrunk, np.float32)
-    return png_of(coloured(values, low, high))
+    luminance_cdm2 = read_panorama(path).seen_cdm2  # [H, W]
+    full_height, full_width = luminance_cdm2.shape
+    # 1840 is four times the width of a panorama of 460 pixels; the limit bounds the memory.
+    if full_width > (width := min(width, 1840)):
+        height = max(1, round(full_height * width / full_width))
+        shrunk = cv2.resize(luminance_cdm2, (width, height), interpolation=cv2.INTER_AREA)
+        luminance_cdm2 = np.asarray(shrunk, np.float32)
+    return png_of(coloured(luminance_cdm2, low, high))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -191,33 +194,33 @@ def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
 
 
 def day_curve(day: date, site: Site, bins_of: Callable[[date], DayBins]) -> JsonTable:
-    """Return the irradiance of a local day in n bins of two minutes.
+    """Return the irradiance of a local day in n bins of two minutes, as JSON for the page.
 
-    Lists [n]: minutes (bin's middle after midnight), ghi, dni, dhi and clear_ghi (of a cloudless
-    sky) in W/m2, None for a missing value; flagged: True where the instrument reported an error, or
-    a value is impossible for the sun's altitude. flagged_bins, impossible_bins: number of bins with
-    the first and with the second fault; status: number of rows by reported error. Bins at night
-    without a reading are omitted. bins_of: returns the bins of a UTC day.
+    Lists [n]: minutes (from midnight to the middle of the bin), ghi, dni, dhi and clear_ghi (of a
+    cloudless sky) in W/m2, None for a missing value; flagged: True where the instrument reported an
+    error, or a value is impossible for the sun's altitude. flagged_bins, impossible_bins: number of
+    bins with the first and with the second fault; status: number of rows by reported error. Bins at
+    night without a reading are omitted. bins_of: returns the bins of a UTC day.
     """
     zone = ZoneInfo(site.timezone)
     start = datetime(day.year, day.month, day.day, tzinfo=zone).astimezone(UTC)
-    # 25 hours on the day when clocks go back: bins belong to a day by their local date
+    # A local day has up to 25 hours, when clocks go back; bins of another date are removed.
     times = [start + timedelta(seconds=BIN_S * (k + 0.5)) for k in range(25 * 3600 // BIN_S)]
     times = [t for t in times if t.astimezone(zone).date() == day]
-    index = {d: bins_of(d) for d in sorted({t.date() for t in times})}
-    means = {d: bins.means for d, bins in index.items()}
-    values = np.array([means[t.date()][_bin_of(t)] for t in times])  # [bins, 3]
-    flagged = np.array([index[t.date()].flagged[_bin_of(t)] for t in times])
-    present = np.isfinite(values).any(axis=1)
-    impossible, clear = np.zeros(len(times), bool), np.full(len(times), np.nan)
+    utc_days = {utc_day: bins_of(utc_day) for utc_day in sorted({t.date() for t in times})}
+    means_wm2 = {utc_day: bins.means_wm2 for utc_day, bins in utc_days.items()}
+    values_wm2 = np.array([means_wm2[t.date()][_bin_of(t)] for t in times])  # [bins, 3]
+    flagged = np.array([utc_days[t.date()].flagged[_bin_of(t)] for t in times])
+    present = np.isfinite(values_wm2).any(axis=1)
+    impossible, clear_wm2 = np.zeros(len(times), bool), np.full(len(times), np.nan)
     if present.any():
-        altitude = sun.position(times, site).altitude_deg
-        limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2(times))
+        altitude_deg = sun.position(times, site).altitude_deg
+        limits = sun.bsrn_limits(altitude_deg, sun.extraterrestrial_wm2(times))
         low, high = zip(limits.ghi_wm2, limits.dni_wm2, limits.dhi_wm2, strict=True)
-        impossible = ((values < low) | (values > np.stack(high, axis=-1))).any(axis=1)
-        clear = sun.clearsky(times, site).ghi_wm2
-    keep = present | (np.nan_to_num(clear) > 1.0)
-    ghi, dni, dhi, clear_ghi = (_numbers(v) for v in (*values[keep].T, clear[keep]))
+        impossible = ((values_wm2 < low) | (values_wm2 > np.stack(high, axis=-1))).any(axis=1)
+        clear_wm2 = sun.clearsky(times, site).ghi_wm2
+    keep = present | (np.nan_to_num(clear_wm2) > 1.0)  # by day, or with a reading
+    ghi, dni, dhi, clear_ghi = (_numbers(v) for v in (*values_wm2[keep].T, clear_wm2[keep]))
     return {
         "ghi": ghi,
         "dni": dni,
@@ -227,20 +230,21 @@ def day_curve(day: date, site: Site, bins_of: Callable[[date], DayBins]) -> Json
         "flagged": (flagged | impossible)[keep].tolist(),
         "flagged_bins": int(flagged.sum()),
         "impossible_bins": int(impossible.sum()),
-        "status": dict(sum((bins.status for bins in index.values()), Counter())),
+        "status": dict(sum((bins.status for bins in utc_days.values()), Counter())),
     }
 
 
 def _numbers(values: Floats) -> list[float | None]:
+    """Return values [n] for JSON, to one decimal; None for those that are not finite."""
     return [None if not np.isfinite(value) else round(float(value), 1) for value in values]
 
 
 Level = Literal["info", "warn", "fail"]
 
-# Events that are no news on a page: the plan's calendar shows outcomes.
-_SILENT = frozenset({"imported", "withdrawn"})
-# Sentences with fields of the event.
-_WORDS: dict[str, tuple[Level, str]] = {
+# Events that the list on the page omits, because its calendar shows them.
+_NOT_LISTED = frozenset({"imported", "withdrawn"})
+# Level and sentence of each kind of event; names in braces are fields of the event.
+_SENTENCES: dict[str, tuple[Level, str]] = {
     "done": ("warn", "Bracket {slot} is complete, with a warning: {why}."),
     "missed": ("fail", "Bracket {slot} was not taken: {why}."),
     "aborted": ("fail", "Bracket {slot} was ended before it was complete: {why}."),
@@ -258,27 +262,27 @@ _WORDS: dict[str, tuple[Level, str]] = {
 }
 
 
-def event_words(event: JournalEvent) -> tuple[Level, str] | None:
-    """Return the level ("info", "warn" ...) and the sentence of an event of the journal.
+def event_sentence(event: JournalEvent) -> tuple[Level, str] | None:
+    """Return the level (info, warn, fail) and the sentence of an event of the journal.
 
     None for an event that needs no attention, such as a bracket done without a doubt. The sentence
     of an unknown kind of event is the name of the kind, its level "info".
     """
     kind, why = event["event"], event.get("why", "")
-    if kind in _SILENT or (kind == "done" and (not why or why == "imported")):
+    if kind in _NOT_LISTED or (kind == "done" and (not why or why == "imported")):
         return None
-    if kind not in _WORDS:
+    if kind not in _SENTENCES:
         return "info", kind
-    blank = dict.fromkeys(("slot", "state", "text"), "") | {"device": "a device"}
-    blank |= dict.fromkeys(("by_s", "after_s", "seconds", "bytes_free"), 0)
-    level, sentence = _WORDS[kind]
-    return level, sentence.format(**(blank | event | {"why": why or "no reason recorded"}))
+    absent = dict.fromkeys(("slot", "state", "text"), "") | {"device": "a device"}
+    absent |= dict.fromkeys(("by_s", "after_s", "seconds", "bytes_free"), 0)
+    level, sentence = _SENTENCES[kind]
+    return level, sentence.format(**(absent | event | {"why": why or "no reason recorded"}))
 
 
 def is_running(journal: JournalFollower) -> bool:
-    """Return whether the capture that the journal shows as open runs on this computer.
+    """Return whether a capture runs on this computer, by the journal and the list of processes.
 
-    False without an open one, or if it began before this boot or on another computer.
+    False if the journal has no open capture, or one that began before this boot or elsewhere.
     """
     opened = journal.opened
     if opened is not None and opened.get("boot_id") in ("", None, boot_id()):
@@ -288,26 +292,27 @@ def is_running(journal: JournalFollower) -> bool:
 
 
 def battery() -> JsonTable | None:
-    """Return {"percent", "mains"} of this computer's battery; None where there is none.
+    """Return the state of this computer's battery, as JSON for the page; None without a battery.
 
-    mains: whether it has external power; the key is absent where that is unknown.
+    percent: charge; mains: whether it has external power, absent if that is unknown.
     """
-    found = psutil.sensors_battery() if hasattr(psutil, "sensors_battery") else None
-    if found is None:
+    state = psutil.sensors_battery() if hasattr(psutil, "sensors_battery") else None
+    if state is None:
         return None
-    mains = {} if found.power_plugged is None else {"mains": found.power_plugged}
-    return {"percent": round(found.percent), **mains}
+    mains = {} if state.power_plugged is None else {"mains": state.power_plugged}
+    return {"percent": round(state.percent), **mains}
 
 
 _FINDINGS_EVERY_S = 300.0  # chosen
 # A journal this far ahead of the computer's clock comes from `capture --clock fast`. Chosen.
-_REHEARSAL = timedelta(hours=1)
+_REHEARSAL_AHEAD = timedelta(hours=1)
 
 
 class _Present(NamedTuple):
     """The journal and the plan as they are now, and the state of each slot.
 
-    rehearsal: whether `now` is the simulated time of a capture; merged: slots with a panorama.
+    now: UTC; rehearsal: whether it is the simulated time of a capture; states: see
+    `Snapshots.calendar`; merged: ids of slots with a panorama.
     """
 
     journal: JournalFollower
@@ -321,13 +326,13 @@ class _Present(NamedTuple):
 class Snapshots:
     """Tables of one session for the page of `fieldlum watch`, usable from several threads.
 
-    wall_clock: returns the present moment (UTC). Raises InputError for a bad session.toml.
+    wall_clock: returns the present time (UTC). Raises InputError for a session.toml that cannot be
+    used.
     """
 
     def __init__(
         self, session: Session, wall_clock: Callable[[], datetime] = lambda: datetime.now(UTC)
     ) -> None:
-        """Watch a session; wall_clock: the time in UTC."""
         self._session, self._wall_clock = session, wall_clock
         self._lock = threading.Lock()
         self._journal, folder = JournalFollower(session.journal), session.irradiance
@@ -335,7 +340,7 @@ class Snapshots:
         self._bins = lru_cache(6)(lambda day: DayBins(folder / f"{day.isoformat()}.csv"))
         self._setup = session.site_file()
         self._zone = ZoneInfo(self._setup.site.timezone)
-        self._plan: tuple[int, list[Slot]] = (-1, [])
+        self._plan: tuple[int, list[Slot]] = (-1, [])  # when the file was written [ns], and slots
         self._findings = lru_cache(1)(self._doctor)
 
     def state(self) -> JsonTable:
@@ -353,9 +358,9 @@ class Snapshots:
         """
         with self._lock:
             present = self._present()
-            journal, slots, now, rehearsal, states, merged = present
-            ahead = [slot for slot in slots if states[slot.id] in ("to do", "running")]
-            counts = list(states.values())
+            journal, now, merged = present.journal, present.now, present.merged
+            states = list(present.states.values())
+            ahead = [s for s in present.slots if present.states[s.id] in ("to do", "running")]
             days = (now.date(), now.date() - timedelta(days=1))
             sample = next((last for day in days if (last := self._bins_of(day).last)), None)
             return {
@@ -364,38 +369,38 @@ class Snapshots:
                 "timezone": self._setup.site.timezone,
                 "now_utc": utc_text(now),
                 "now_local": f"{now.astimezone(self._zone):%a %d %b %Y, %H:%M}",
-                "rehearsal": rehearsal,
+                "rehearsal": present.rehearsal,
                 "running": is_running(journal),
-                "counts": {word: counts.count(word) for word in dict.fromkeys(counts)},
-                "slots": len(slots),
+                "counts": dict(Counter(states)),
+                "slots": len(states),
                 "next": self._slot_row(ahead[0], present) if ahead else None,
                 "latest": self._latest(),
                 "devices": self._devices(journal),
                 "irradiance": sample and {"t_utc": utc_text(sample[0]), "ghi_wm2": sample[1]},
-                "disk": self._disk(slots),
+                "disk": self._disk(present.slots),
                 "computer": battery(),
                 "events": self._events(journal),
                 "findings": self._findings(now.timestamp() // _FINDINGS_EVERY_S),
-                "version": f"{self._plan[0]}-{len(merged)}-{hash(tuple(counts)) & 0xFFFFFFFF:x}",
+                "version": f"{self._plan[0]}-{len(merged)}-{hash(tuple(states)) & 0xFFFFFFFF:x}",
                 "today": self._local_day(now).isoformat(),
             }
 
     def moment(self) -> Moment:
         """Return whether no bracket is running or near, and how many slots are captured.
 
-        In such quiet time the computer may compute the answer so far (`prediction_so_far`).
+        In such quiet time the computer may predict the year (`prediction_so_far`).
         """
         with self._lock:
-            journal, slots, now, rehearsal, states, _ = self._present()
-            ahead = [slot.t_utc for slot in slots if states[slot.id] == "to do"]
-            running = is_running(journal)
-            captured = sum(state.outcome == "done" for state in journal.states.slots.values())
-            far = not ahead or (ahead[0] - now).total_seconds() > QUIET_BEFORE_S
-            busy = running and (rehearsal or not far or "running" in states.values())
-            return Moment(not busy, captured)
+            present = self._present()
+            outcomes = [state.outcome for state in present.journal.states.slots.values()]
+            ahead = [slot.t_utc for slot in present.slots if present.states[slot.id] == "to do"]
+            is_near = bool(ahead) and (ahead[0] - present.now).total_seconds() <= QUIET_BEFORE_S
+            is_slot_now = present.rehearsal or is_near or "running" in present.states.values()
+            is_quiet = not (is_slot_now and is_running(present.journal))
+            return Moment(is_quiet=is_quiet, captured=outcomes.count("done"))
 
     def calendar(self) -> JsonTable:
-        """Return {"days": [{"date", "slots"}]}: the plan's local days with their slots.
+        """Return the plan's local days with their slots, as JSON: days, each with date and slots.
 
         A slot has slot (its id), t_utc, local, day (texts of its time), state (done, missed,
         aborted, made up (by another slot), running, to do), picture (whether it is merged) and
@@ -427,34 +432,34 @@ class Snapshots:
             return {"date": day.isoformat(), "slots": rows, "scale": scale, "irradiance": curve}
 
     # ------------------------------------------------------------------------------------------
-    # parts
+    # parts of the tables
 
     def _present(self) -> _Present:
         """Return journal, plan and states now; a rehearsal has its own time, in the future."""
         journal, slots = self._journal.update(), self._slots()
         now = self._wall_clock()
-        last = journal.states.last_utc or now
-        if rehearsal := last - now > _REHEARSAL:
-            now = last
+        last_utc = journal.states.last_utc or now
+        if rehearsal := last_utc - now > _REHEARSAL_AHEAD:
+            now = last_utc
         states = self._states(slots, journal, now)
         merged = {path.stem for path in self._session.panorama_files()}
         return _Present(journal, slots, now, rehearsal, states, merged)
 
     def _bins_of(self, day_utc: date) -> DayBins:
-        """Return the irradiance of a UTC day, with the file's newest rows."""
+        """Return the bins of irradiance of a UTC day, with the file's newest rows."""
         return self._bins(day_utc).update()
 
     def _slots(self) -> list[Slot]:
-        """Return the plan, read again only when the file changed."""
-        with suppress(OSError, InputError):  # spoilt by hand: the plan before still holds
-            stamp = self._session.plan.stat().st_mtime_ns
-            if stamp != self._plan[0]:
+        """Return the slots of the plan in order of time, read again only when the file changed."""
+        with suppress(OSError, InputError):  # a damaged file: the earlier plan remains
+            written_ns = self._session.plan.stat().st_mtime_ns
+            if written_ns != self._plan[0]:
                 slots = sorted(read_plan(self._session.plan), key=lambda slot: slot.t_utc)
-                self._plan = stamp, slots
+                self._plan = written_ns, slots
         return self._plan[1]
 
     def _states(self, slots: list[Slot], journal: JournalFollower, now: datetime) -> dict[str, str]:
-        """Return done, missed, aborted, "made up", running or "to do" for each slot."""
+        """Return the state of each slot by its id; for the words see `calendar`."""
         grace = self._session.grace
         states: dict[str, str] = {}
         for slot in slots:
@@ -471,7 +476,7 @@ class Snapshots:
         return states
 
     def _slot_row(self, slot: Slot, present: _Present) -> JsonTable:
-        """Return what the page shows of a slot."""
+        """Return the row of a slot, as `calendar` describes it."""
         local = slot.t_utc.astimezone(self._zone)
         return {
             "slot": slot.id,
@@ -484,18 +489,19 @@ class Snapshots:
         }
 
     def _latest(self) -> JsonTable | None:
-        """Return the newest panorama with its verdict."""
-        files = self._session.panorama_files()[-1:]
-        if not files:
+        """Return slot, verdict, time and scale of the newest panorama; None without one."""
+        newest = self._session.panorama_files()[-1:]
+        if not newest:
             return None
-        slot = files[0].stem
+        slot = newest[0].stem
         local = ""
         with suppress(ValueError):
             local = f"{parse_utc(slot).astimezone(self._zone):%a %d %b %Y, %H:%M}"
         verdict = self._verdict(slot, "no sidecar")
-        return {"slot": slot, "verdict": verdict, "local": local, **scale_of(files)}
+        return {"slot": slot, "verdict": verdict, "local": local, **scale_of(newest)}
 
     def _verdict(self, slot: str, without_sidecar: str) -> str:
+        """Return merge's verdict on a slot, or `without_sidecar`; an error's text if unreadable."""
         try:
             sidecar = Sidecar.find(self._session.sidecar(slot))
         except InputError as error:
@@ -503,11 +509,12 @@ class Snapshots:
         return sidecar.verdict if sidecar is not None else without_sidecar
 
     def _devices(self, journal: JournalFollower) -> JsonTable:
-        """Return camera, battery and clock by the session, and since when devices are away."""
+        """Return the camera as session.toml records it, and since when devices are away."""
         table = self._session.table().get("devices", {})
         camera = table.get("camera", {})
         offset_s = camera.get("clock_offset_s")
-        is_known = isinstance(offset_s, int | float) and abs(offset_s) < 1e9  # of a file
+        # The file may have been edited: a text or a huge number is ignored.
+        is_known = isinstance(offset_s, int | float) and abs(offset_s) < 1e9
         return {
             "camera": " ".join(str(camera.get(k, "")) for k in ("make", "model")).strip(),
             "camera_battery": str(camera.get("battery", "")),
@@ -516,16 +523,18 @@ class Snapshots:
         }
 
     def _disk(self, slots: list[Slot]) -> JsonTable:
-        free = shutil.disk_usage(self._session.root).free
+        """Return the free space, and the days of captures that fit, None if that is unknown."""
+        free_bytes = shutil.disk_usage(self._session.root).free
         days = len({self._local_day(slot.t_utc) for slot in slots})
-        per_day = self._session.slot_bytes() * len(slots) / max(days, 1)
-        return {"free_bytes": free, "days": free / per_day if per_day else None}
+        bytes_per_day = self._session.slot_bytes() * len(slots) / max(days, 1)
+        days_left = free_bytes / bytes_per_day if bytes_per_day else None
+        return {"free_bytes": free_bytes, "days": days_left}
 
     def _events(self, journal: JournalFollower) -> list[JsonTable]:
-        """Return the latest events, newest first; equal sentences in a row become one."""
+        """Return the latest 25 events, newest first; equal sentences in sequence become one."""
         rows: list[JsonTable] = []
         for event in reversed(journal.events):
-            level, text = event_words(event) or ("", "")
+            level, text = event_sentence(event) or ("", "")
             if rows and rows[-1]["text"] == text:
                 rows[-1]["times"] += 1
             elif text:
@@ -537,7 +546,7 @@ class Snapshots:
     def _doctor(self, period: float) -> list[JsonTable]:
         """Return doctor's findings that need no device; a capture may be using the devices.
 
-        period: number of the five minutes of the session's time, since 1970.
+        period: number of periods of five minutes since 1970; the findings of one are computed once.
         """
         now = datetime.fromtimestamp(period * _FINDINGS_EVERY_S, UTC)
         findings = doctor.run(self._session, "", "", now, only=doctor.WITHOUT_DEVICES)

@@ -1,4 +1,4 @@
-"""Report the progress of each stage from the session's files."""
+"""Report what each stage, from plan to report, has done and must still do in a session."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from fieldlum.session.journal import damaged_lines
 from fieldlum.session.slot_states import SETTLED, SlotStates, read_slot_states, slots_to_do
 
 
-def status(session: Session) -> JsonTable:
+def stage_status(session: Session) -> JsonTable:
     """Return what each stage of a session has done and must still do; keys of `status --json`.
 
     session, name: folder and site. plan: set, slots, first_utc and last_utc. capture: numbers of
@@ -26,44 +26,44 @@ def status(session: Session) -> JsonTable:
     merged = {path.stem for path in session.panorama_files()}
     pairs = PairsFile.find(session.pairs)
     # `simulate` writes pairs of its truth, which are no pairs of merged panoramas.
-    folder = session.panoramas.name
-    places = [Path(row.panorama) for row in pairs.rows]
-    paired = {place.stem for place in places if place.parts[:1] == (folder,)}
+    pictures = [Path(row.panorama) for row in pairs.rows]
+    paired = {path.stem for path in pictures if path.parts[:1] == (session.panoramas.name,)}
     answer = {
         "session": str(session.root),
         "name": session.site_file().site.name,
-        "plan": _plan(session, slots),
-        "capture": _capture(session, slots, recorded),
-        "irradiance": _irradiance(session),
+        "plan": _plan_status(session, slots),
+        "capture": _capture_status(session, slots, recorded),
+        "irradiance": _irradiance_status(session),
         "merge": {"done": len(merged), "owed": len(captured - merged)},
         "pair": {"done": len(paired), "usable": len(pairs.usable), "owed": len(merged - paired)},
         "train": {"models": [path.name for path in session.model_folders()]},
         "predict": {"years": sorted(p.name for p in session.annual.glob("*") if p.is_dir())},
         "report": {"done": (session.report / "index.html").is_file()},
-        "next_step": "",
     }
     return {**answer, "next_step": next_step(answer)}
 
 
 def next_step(answer: JsonTable) -> str:
-    """Return the user's next step, mostly a command line, from the result of `status`."""
+    """Return the user's next step, mostly a command line.
+
+    answer: the table of `stage_status`, of which "next_step" is not read.
+    """
     root = answer["session"]
     capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
     models = answer["train"]["models"]
-    model = f"{root}/models/{(*models, '')[0]}"
-    during = "doctor" if capture["frames"] == 0 else "capture"
-    after = "" if during == "capture" else f", then fieldlum capture {root}"
-    nothing_left = capture["done"] == 0 and not pair["usable"]
+    model = f"{root}/models/{models[0] if models else ''}"
+    next_capture = f"fieldlum capture {root}"
+    if capture["frames"] == 0:
+        next_capture = f"fieldlum doctor {root}, then {next_capture}"
+    nothing_captured = capture["done"] == 0 and not pair["usable"]
     why = "because no slot is left and none was captured"
-    steps = (
+    needs_irradiance = pair["owed"] and not answer["irradiance"]["rows"]
+    steps = (  # in the order of the work; the first one that is due is returned
         (merge["owed"], f"fieldlum merge {root}"),
-        (
-            pair["owed"] and not answer["irradiance"]["rows"],
-            f"fieldlum import {root} --irradiance FILE",
-        ),
+        (needs_irradiance, f"fieldlum import {root} --irradiance FILE"),
         (pair["owed"], f"fieldlum pair {root}"),
-        (capture["owed"], f"fieldlum {during} {root}{after}"),
-        (nothing_left, f"fieldlum plan {root} --replan, {why}"),
+        (capture["owed"], next_capture),
+        (nothing_captured, f"fieldlum plan {root} --replan, {why}"),
         (not models, f"fieldlum train {root}"),
         (not answer["predict"]["years"], f"fieldlum predict {model} --weather FILE"),
         (not answer["report"]["done"], f"fieldlum report {root}"),
@@ -71,22 +71,24 @@ def next_step(answer: JsonTable) -> str:
     return next((step for is_due, step in steps if is_due), f"open {root}/report/index.html")
 
 
-def _plan(session: Session, slots: list[Slot]) -> JsonTable:
+def _plan_status(session: Session, slots: list[Slot]) -> JsonTable:
+    """Return the plan's set, its number of slots, and the start (UTC) of the first and the last."""
     plan = {"set": session.table().get("plan", {}).get("set", ""), "slots": len(slots)}
     if slots:
         plan["first_utc"], plan["last_utc"] = utc_text(slots[0].t_utc), utc_text(slots[-1].t_utc)
     return plan
 
 
-def _capture(session: Session, slots: list[Slot], recorded: SlotStates) -> JsonTable:
-    """Return the counts of slots by outcome, and of troubles; recorded: states by the journal."""
+def _capture_status(session: Session, slots: list[Slot], recorded: SlotStates) -> JsonTable:
+    """Return the number of slots by outcome and of faults by kind, and the next slot.
+
+    recorded: the slots' states, from the journal.
+    """
     states = [recorded.state(slot.id) for slot in slots]
     outcomes = [state.outcome for state in states]
     to_do = slots_to_do(slots, recorded)
     return {
-        "done": outcomes.count("done"),
-        "missed": outcomes.count("missed"),
-        "aborted": outcomes.count("aborted"),
+        **{outcome: outcomes.count(outcome) for outcome in SETTLED},
         "owed": len(to_do),
         "frames": sum(len(state.frames) for state in states),
         "next": to_do[0].id if to_do else None,
@@ -97,10 +99,10 @@ def _capture(session: Session, slots: list[Slot], recorded: SlotStates) -> JsonT
     }
 
 
-def _irradiance(session: Session) -> JsonTable:
-    """Return what is logged: days, rows, the last day, and whether clean.csv exists."""
+def _irradiance_status(session: Session) -> JsonTable:
+    """Return the logged days and rows, the last day, and whether clean.csv exists."""
     files = day_files(session)
-    rows = sum(read_bytes(path).count(b"\n") - 1 for path in files)
+    rows = sum(read_bytes(path).count(b"\n") - 1 for path in files)  # less the header
     return {
         "days": len(files),
         "rows": max(rows, 0),
