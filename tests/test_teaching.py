@@ -60,7 +60,6 @@ def test_a_flagged_value_does_not_correct_hours_of_the_same_sun() -> None:
             replace(arrays, luminance=values, filled=mask, trust=np.where(mask, 0.0, 1.0)),
             basis,
             0.02,
-            lambda k, n: None,
         ).second
         for values, mask in ((arrays.luminance, filled), (wrong, filled), (wrong, arrays.filled))
     )

@@ -313,7 +313,7 @@ def test_noise_of_the_level_leaves_no_bias() -> None:
     for seed in range(20):
         log_level = 0.2 * np.random.default_rng(seed).standard_normal(len(TRAIN))
         noisy = arrays.luminance * np.exp(log_level)[:, None].astype(np.float32)
-        pixels = fit_pixels(replace(arrays, luminance=noisy), basis, 0.1, lambda k, n: None)
+        pixels = fit_pixels(replace(arrays, luminance=noisy), basis, 0.1)
         unit = arrays.light.total_lx[:, None] * pixels.scale
         found = np.maximum(basis.values @ pixels.b.T, MIN_SHARE) * unit
         assert arrays.patch is not None

@@ -37,7 +37,7 @@ Patch = Literal["absolute", "gain", "none"]
 """How sun patches are used: in cd/m2, up to an unknown factor, or not at all."""
 
 
-# What rebuilding a damaged or hostile model can raise, next to `NPZ_ERRORS`.
+# Errors that `from_state` can raise for a damaged or hostile model, next to `NPZ_ERRORS`.
 _BROKEN = (IndexError, TypeError, ArithmeticError, MemoryError, RuntimeError)
 
 
@@ -89,9 +89,10 @@ FORMAT = 5  # of fitted values in a model's folder
 
 
 def state_of(model: Any, with_patch: bool) -> ModelState:
-    """Return the fields of a dataclass as the content of a model folder, under its name.
+    """Return the content of the folder of a model that is a dataclass.
 
-    with_patch: whether the model uses sun patches.
+    Its fields are one table of config.json, whose key is the model's name, and arrays of
+    weights.npz. with_patch: whether the model uses sun patches.
     """
     arrays: dict[str, Array] = {}
     table = serialised(model, "array", arrays) | {"format": FORMAT}
@@ -99,17 +100,18 @@ def state_of(model: Any, with_patch: bool) -> ModelState:
 
 
 def serialised(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, Any]:
-    """Return a dataclass as plain values for config.json, by field name, for `deserialised`.
+    """Return the fields of the dataclass `part` as plain values for config.json, by name.
 
-    Arrays of any shape are added to `arrays`; their field has the name PREFIX followed by a number.
-    part: the dataclass.
+    Arrays of any shape are added to `arrays`; instead of an array, its field contains the name in
+    `arrays`: PREFIX followed by a number. `deserialised` reverses this.
     """
 
-    def of_array(value: Array) -> str:
-        arrays[name := f"{prefix}{len(arrays)}"] = value
+    def name_of(array: Array) -> str:
+        name = f"{prefix}{len(arrays)}"
+        arrays[name] = array
         return name
 
-    return msgspec.to_builtins(part, enc_hook=of_array)
+    return msgspec.to_builtins(part, enc_hook=name_of)
 
 
 def deserialised(kind: type[_Part], table: Any, arrays: Mapping[str, Array]) -> _Part:
@@ -173,7 +175,7 @@ def save(
     """Write weights.npz, sky_view.exr, then config.json, each atomically, into a folder.
 
     data: the training data; config.json describes them, and weights.npz has their seen pixels.
-    mirrors: plane mirrors of the sun. more: further keys of config.json.
+    mirrors: plane mirrors of the sun. more: further keys of config.json and their values.
     """
     state = fitted.state()
     arrays = {"seen": data.seen, **state.arrays}
@@ -209,9 +211,9 @@ def read_config(folder: Path) -> ModelConfig:
 
 
 def seen_of(folder: Path) -> Mask | None:
-    """Return a mask [H, W], True for pixels that the camera saw, from a model's folder.
+    """Return the mask [H, W] of the pixels that the camera saw, from a model's folder.
 
-    None if weights.npz cannot be read.
+    It is None if weights.npz cannot be read.
     """
     path = folder / "weights.npz"
     with suppress(InputError), open_arrays(path, "weights", "train again") as stored:
@@ -236,7 +238,7 @@ def load(folder: Path) -> Fitted:
 
 
 def is_usable(folder: Path) -> bool:
-    """Return whether `load` can read the model in a folder, which another version may have made."""
+    """Return whether `load` can read a folder's model, which another version may have written."""
     try:
         load(folder)
     except InputError:

@@ -16,7 +16,7 @@ from fieldlum.sky.sun import horizontal_beam
 
 @dataclass(frozen=True, slots=True)
 class Domain:
-    """The light in the captures of a model.
+    """The suns in the captures of a model, by which it trusts hours of similar light.
 
     sun_directions: unit vectors to the sun in captures with a DNI of 60 W/m2 or more [k, 3].
     """
@@ -81,7 +81,7 @@ def fit_mean(data: Dataset, **_: object) -> MeanFitted:
     Options of other models are not used.
     """
     log10 = np.zeros(data.shape)
-    # one by one, because the logarithm of all maps would double the memory
+    # Map by map, because the logarithm of all maps would double the memory.
     for luminance in data.luminance_cdm2:
         # The logarithm needs a value above 0; no camera resolves so little.
         log10 += np.log10(np.maximum(luminance, 1e-3)) / len(data)
@@ -123,9 +123,9 @@ class NearestFitted:
         for a model that was fitted with sun patches.
         """
         distance = ((similarity_features(light)[:, None] - self.features) ** 2).sum(axis=2)
-        near = distance.argmin(axis=1)
-        scale = (level_wm2(light) / self.scale[near]).astype(np.float32)
-        maps = self.rest_cdm2[near] * scale[:, None, None]
+        nearest = distance.argmin(axis=1)  # index of a capture for each hour [n]
+        scale = (level_wm2(light) / self.scale[nearest]).astype(np.float32)
+        maps = self.rest_cdm2[nearest] * scale[:, None, None]
         if self.with_patch:
             if patch_cdm2 is None:
                 raise ValueError("this model was trained with sun patches: pass patch_cdm2")
@@ -163,13 +163,12 @@ def fit_nearest(data: Dataset, *, patch: Patch = "absolute", **_: object) -> Nea
     With patch "absolute" the sun patches of `data`, if any, are subtracted from the maps; at least
     2 % of a pixel's light remains. With "gain" or "none" they stay in the maps.
     """
-    with_patch = patch == "absolute" and data.patch_cdm2 is not None
+    patches = data.patch_cdm2 if patch == "absolute" else None
     rest, light = data.luminance_cdm2, data.light
-    if with_patch and data.patch_cdm2 is not None:
-        rest = np.maximum(rest - data.patch_cdm2, np.float32(0.02) * rest)
-    return NearestFitted(
-        rest, similarity_features(light), level_wm2(light), with_patch, domain_of(light)
-    )
+    if patches is not None:
+        rest = np.maximum(rest - patches, np.float32(0.02) * rest)
+    with_patch, features = patches is not None, similarity_features(light)
+    return NearestFitted(rest, features, level_wm2(light), with_patch, domain_of(light))
 
 
 def from_state(state: ModelState) -> MeanFitted | NearestFitted:

@@ -34,19 +34,19 @@ from fieldlum.optics.turn_fit import Contrasts, fit_turn
 # Smoothing [px], coarse to fine. The first value corrects turns of five pixels; the last is as wide
 # as an edge in a rendering. Measured; no command repeats it.
 _SMOOTH_PX = (3.0, 1.0, 0.7)
-_TILES = (6, 12)  # independent parts of the picture, for the standard errors; not measured
-# Light from another direction moves edges: in clean captures of the office and of eight simulated
-# rooms, 95 % of the single ones differ from zero by at most this times 3, 5 and 6. Measured; no
-# command repeats it.
-_LIGHT_PX = np.array((0.02, 0.05, 0.04))  # standard uncertainty by this
-# Turns about each axis count in this unit. A pose of n captures is corrected if it differs by
-# 1 + 1 / sqrt(n) units. In twelve rooms of other renderers light seems to turn a still camera by up
-# to 0.27 px in heading and 0.42 px in roll, a single capture by 0.43 and 0.81 px. A third of the
-# captures turned by 0.33 px does not change the error of maps, by 0.6 px it adds 3 to 6 %
-# (bench/outside_rooms/turns.py).
+_TILES = (6, 12)  # rows and columns of independent parts of the picture; not measured
+# Standard uncertainty of heading, tilt and roll, because light from another direction moves edges:
+# in clean captures of the office and of eight simulated rooms, 95 % of the turns are at most 3, 5
+# and 6 times this. Measured; no command repeats it.
+_LIGHT_PX = np.array((0.02, 0.05, 0.04))
+# Turns in heading, tilt and roll count in these units. A pose of n captures is corrected if it
+# differs by 1 + 1 / sqrt(n) units. In twelve rooms of other renderers light seems to turn a still
+# camera by up to 0.27 px in heading and 0.42 px in roll, a single capture by 0.43 and 0.81 px. A
+# third of the captures turned by 0.33 px does not change the error of maps, by 0.6 px it adds 3 to
+# 6 % (bench/outside_rooms/turns.py).
 TURN_PX = np.array((0.25, 0.25, 0.4))
-# In units squared. A single capture must differ by 3.1 units to count as a separate pose, twelve
-# captures by 0.9 units. Chosen.
+# Cost of a move of the camera between two captures, in squared units of TURN_PX. A single capture
+# must differ by 3.1 units to count as a separate pose, twelve captures by 0.9 units. Chosen.
 MOVE_COST = 4.8
 # Least correlation of the edges of a turned-back capture with the room's edges, in the median part
 # of the picture: edges of a large sun patch are strong, but only in some parts. In four rooms, two
@@ -86,13 +86,13 @@ class CameraTurns:
 def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return the directions at which a turned camera's panorama shows `rays`, [..., 3].
 
-    rays: unit vectors to what is seen, x east, y north, z up, as the results; heading_deg: azimuth
-    of the panorama's centre column; angles_deg: the camera's turn in heading (clockwise positive),
-    tilt (up) and roll (clockwise) [3].
+    rays: true directions, unit vectors with x east, y north, z up, as the results [..., 3];
+    heading_deg: azimuth of the panorama's centre column; angles_deg: the camera's turn in heading
+    (clockwise positive), tilt (up) and roll (clockwise) [3].
     """
-    a = np.radians(heading_deg)
-    right = (np.cos(a), -np.sin(a), 0.0)
-    forward = (np.sin(a), np.cos(a), 0.0)
+    heading = np.radians(heading_deg)
+    right = (np.cos(heading), -np.sin(heading), 0.0)
+    forward = (np.sin(heading), np.cos(heading), 0.0)
     axes = np.array(((0.0, 0.0, -1.0), right, forward))
     vector = -np.radians(angles_deg) @ axes
     return rays @ Rotation.from_rotvec(vector).as_matrix().T
@@ -101,7 +101,11 @@ def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[fl
 def _places(
     shape: tuple[int, ...], heading_deg: float, angles_deg: Array | Sequence[float]
 ) -> Array:
-    """Return the row and column at which a turned camera's map shows each pixel, [2, H, W] px."""
+    """Return the row and column at which a turned camera's map shows each pixel, [2, H, W] px.
+
+    shape: (H, W); heading_deg, angles_deg: as for `turned_rays`. The centre of the first pixel is
+    (0, 0).
+    """
     height, width = shape
     rays = turned_rays(equirect_rays(height, width, heading_deg), heading_deg, angles_deg)
     row, column = equirect_pixel(*altitude_azimuth_deg(rays), height, width, heading_deg)
@@ -109,7 +113,10 @@ def _places(
 
 
 def _interpolated(maps: Array, places: Array) -> Array:
-    """Return a map [H, W] at places [2, H, W], linear between pixels, across the seam."""
+    """Return a map [H, W] interpolated at rows and columns `places` [2, H, W], [H, W].
+
+    Interpolation is linear, and continues from the last column to the first.
+    """
     return map_coordinates(
         wrapped(maps), places + np.array((0.0, 1.0))[:, None, None], order=1, mode="nearest"
     )
@@ -134,8 +141,8 @@ def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequenc
     values among the 3 x 3 neighbours.
     """
     places = _places(maps.shape, heading_deg, angles_deg)
-    part = places - np.floor(places)
-    mixed = (part * (1.0 - part)).max(axis=0)
+    fraction = places - np.floor(places)
+    mixed = (fraction * (1.0 - fraction)).max(axis=0)
     wide = wrapped(maps)
     contrast = (maximum_filter(wide, 3) - minimum_filter(wide, 3))[:, 1:-1]
     return mixed * _interpolated(contrast, places)
@@ -146,7 +153,11 @@ def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequenc
 
 
 def _edges_of(logs: Array, heading_deg: float, angles_deg: Array, smooth_px: float) -> Floats32:
-    """Return the derivatives, by row and by column, of a smoothed map that is turned back first."""
+    """Return the derivatives of a map by row and by column, [2, H, W], after turning it back.
+
+    logs: ln L [H, W]; heading_deg, angles_deg: as for `turned_back`; smooth_px: standard deviation
+    of the Gaussian that smooths the map before.
+    """
     logs = turned_back(logs, heading_deg, angles_deg) if angles_deg.any() else logs
     modes = ("nearest", "wrap")
     smooth = gaussian_filter(logs, smooth_px, mode=modes, truncate=3.0)  # pyright: ignore[reportArgumentType]
@@ -165,21 +176,21 @@ class _RoomEdges:
         """
         height, width = seen_mask.shape
         strength = np.hypot(edges[0], edges[1])
-        # above it columns are very narrow; below -70 the tripod is in the picture
+        # Above 70 degrees columns are very narrow; below -70 the tripod is in the picture.
         compared = seen_mask & (np.abs(row_altitudes_deg(height))[:, None] < 70.0)
         # Only the 60 % of the pixels with the strongest edges are compared.
         pixels = np.flatnonzero(compared & (strength >= np.quantile(strength[compared], 1.0 - 0.6)))
-        # At most 6000 pixels limit the time.
+        # At most 6000 pixels limit the time: every k-th, with k rounded up.
         self.pixels = pixels[:: -(-len(pixels) // 6000)]  # [m]
         self.values = self.at_pixels(edges)  # [2 m]
         row, column = np.divmod(self.pixels, width)
         tile = row * _TILES[0] // height * _TILES[1] + column * _TILES[1] // width
-        # each derivative of a tile has its own contrast
+        # Each of the two derivatives in a tile has its own contrast.
         derivative_tile = np.concatenate((tile, tile + tile.max() + 1))
         self.tiles = np.unique(derivative_tile, return_inverse=True)[1]  # [2 m]
         slopes = np.stack([np.stack(np.gradient(edge)) for edge in edges])  # [2, 2, H, W]
-        moves = _motion_px((height, width), heading_deg)
-        changes = [-(slopes * move).sum(axis=1) for move in moves]
+        motions = _motion_px((height, width), heading_deg)
+        changes = [-(slopes * motion).sum(axis=1) for motion in motions]  # [2, H, W] each
         self.changes = np.stack([self.at_pixels(change) for change in changes], axis=1)  # [2 m, 3]
         # Less weight for edges of high contrast, which move with the light: a bright window spreads
         # over its frame.
@@ -191,17 +202,18 @@ class _RoomEdges:
         return edges.reshape(2, -1)[:, self.pixels].ravel().astype(float)
 
     def turn(self, edges: Array) -> tuple[Array, Array, float]:
-        """Return the turn that moves the room's edges to those of a capture.
+        """Return the turn that moves the room's edges to those of a capture, with its quality.
 
-        These are the turn [3] deg, its standard errors [3] deg, and the correlation of the edges in
-        the median tile.
+        edges: the capture's, by `_edges_of` [2, H, W]. The results are the turn in heading, tilt
+        and roll [3] deg, its standard errors [3] deg, and the correlation of the edges in the
+        median tile.
         """
         values = self.at_pixels(edges)
         contrasts = Contrasts(self.values, self.tiles)  # of the edges in each tile
         fit = fit_turn(self.changes, values, self.tiles, weights=self.weights, contrasts=contrasts)
-        # uncertainty of a turn that the edges do not determine
+        # A turn that the edges do not determine has an uncertainty of 180 degrees.
         turn, covariance = fit or (np.zeros(3), np.full((3, 3), 180.0**2))
-        shared, own, room = (
+        shared, own, room = (  # sums of products in each tile
             np.bincount(self.tiles, product)
             for product in (values * self.values, values**2, self.values**2)
         )
@@ -210,21 +222,29 @@ class _RoomEdges:
 
 
 def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
-    """Return how far a turn of one degree moves each pixel (row, column), [3, 2, H, W]."""
-    moves = []
+    """Return how far a turn of one degree about each axis moves each pixel, [3, 2, H, W].
+
+    The axes are heading, tilt and roll; the motions are along rows and columns, px per degree.
+    """
+    motions = []
     for axis in np.eye(3):
         before, after = (_places(shape, heading_deg, half * axis) for half in (-0.5, 0.5))
         rows, columns = after - before
-        moves.append((rows, (columns + shape[0]) % shape[1] - shape[0]))  # across the seam
-    return np.array(moves)
+        # A motion across the seam is at most half the width, which is the height.
+        motions.append((rows, (columns + shape[0]) % shape[1] - shape[0]))
+    return np.array(motions)
 
 
 def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
-    """Return ln L of maps [n, h, w] and seen pixels [h, w], averaged to 230 to 459 rows."""
+    """Return ln L of maps and the seen pixels, averaged over blocks to 230 to 459 rows.
+
+    luminance_cdm2: [n, H, W]; seen_mask: [H, W]. Maps that cannot be divided into such blocks, or
+    have fewer rows, keep their size.
+    """
     step = max(1, luminance_cdm2.shape[1] // 230)
     if luminance_cdm2.shape[1] % step or luminance_cdm2.shape[2] % step:
         step = 1
-    # in darker places edges are noise
+    # In places darker than 0.1 cd/m2 edges are noise.
     logs = (np.log(np.maximum(image, 0.1)) for image in luminance_cdm2)
     small = [block_reduce(log, step, np.mean).astype(np.float32) for log in logs]
     return np.stack(small), block_reduce(seen_mask, step, np.all)
@@ -241,14 +261,15 @@ def camera_turns(luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float) ->
     """
     count, height = luminance_cdm2.shape[:2]
     angles, u_deg, correlation = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
-    # fewer captures have no clear majority; in smaller pictures an edge is as wide as a wall
+    # Fewer captures have no clear majority; in smaller pictures an edge is as wide as a wall.
     if count < 5 or height < 40 or not seen_mask.any():
         return CameraTurns(angles, u_deg, np.ones(count, bool))
     logs, seen_mask = _smaller(luminance_cdm2, seen_mask)
-    shown = evenly_spread(count, 200)  # their median shows the room's edges; limits the memory
+    # The median of at most 200 captures shows the room's edges, which limits the memory.
+    sample = evenly_spread(count, 200)
     for k, smooth_px in enumerate(_SMOOTH_PX):
         progress(k, len(_SMOOTH_PX), "comparing the camera's poses")
-        stored = {int(i): _edges_of(logs[i], heading_deg, angles[i], smooth_px) for i in shown}
+        stored = {int(i): _edges_of(logs[i], heading_deg, angles[i], smooth_px) for i in sample}
         median = np.median(np.stack(list(stored.values())), axis=0)
         room = _RoomEdges(median, seen_mask, heading_deg)
         for i in range(count):
@@ -260,7 +281,7 @@ def camera_turns(luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float) ->
         angles -= np.median(angles, axis=0)
     pixel_deg = 180.0 / seen_mask.shape[0]
     u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
-    # a larger turn is too far for the search to converge
+    # The search does not converge to larger turns.
     near = np.abs(angles).max(axis=1) < 10.0 * pixel_deg
     aligned = (correlation >= MIN_CORRELATION) & near
     return CameraTurns(_poses(angles, aligned, pixel_deg), u_deg, aligned)
@@ -271,13 +292,11 @@ def camera_turns(luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float) ->
 
 
 def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:
-    """Return one turn for all captures of a pose [n, 3] deg; zero for an uncertain one.
+    """Return one turn for all captures of a pose, [n, 3] deg; zero for an uncertain one.
 
-    angles: the turn of each capture [n, 3] deg; aligned: whether it is reliable [n]; pixel_deg:
-    size of a pixel.
-
-    A camera stays as it is until it is moved. So the order of time is cut into poses by the least
-    sum of squares plus MOVE_COST for each cut (Potts model, by dynamic programming).
+    angles: the estimated turn of each capture in the order of time [n, 3] deg; aligned: whether it
+    is reliable [n]; pixel_deg: size of a pixel. A camera does not turn until it is moved, so that
+    consecutive captures have one pose.
     """
     out = np.zeros_like(angles)
     rows = np.flatnonzero(aligned)
@@ -285,11 +304,11 @@ def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:
     pieces = _pieces(angles[rows] / unit)
     counts = [stop - start for start, stop in pieces]
     poses = np.array([np.median(angles[rows[start:stop]], axis=0) for start, stop in pieces])
-    poses -= np.median(np.repeat(poses, counts, axis=0), axis=0)  # of most captures
-    for (start, stop), pose in zip(pieces, poses, strict=True):
-        size, count = np.abs(pose) / unit, stop - start
-        # in units of TURN_PX; under five captures share their light, so that they count as a single
-        # capture, for which two cuts pay
+    poses -= np.median(np.repeat(poses, counts, axis=0), axis=0)  # relative to most captures
+    for (start, stop), count, pose in zip(pieces, counts, poses, strict=True):
+        size = np.abs(pose) / unit
+        # Fewer than five captures have similar light and its errors, so that they count as one
+        # capture, which must be worth the cost of two moves.
         minimum = np.sqrt(2.0 * MOVE_COST) if count < 5 else 1.0 + 1.0 / np.sqrt(count)
         if size.max() >= minimum:
             out[rows[start:stop]] = np.where(size < 1.0, 0.0, pose)
@@ -297,22 +316,27 @@ def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:
 
 
 def _pieces(values: Array) -> list[tuple[int, int]]:
-    """Return the first row and the row after the last of each piece of `values`, [n, k]."""
+    """Cut a series into pieces of nearly constant values; return (start, stop) of each piece.
+
+    values: [n, k], in order. The cuts have the smallest sum of squared differences from the means
+    of the pieces, plus MOVE_COST for each piece (Potts model, by dynamic programming).
+    """
     count = len(values)
     sums = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)))
     squares = np.concatenate(((0.0,), np.cumsum((values**2).sum(axis=1))))
-    best, before = np.zeros(count + 1), np.zeros(count + 1, int)
+    # Of the first `stop` values: least cost, and where their last piece starts.
+    least_cost, last_start = np.zeros(count + 1), np.zeros(count + 1, int)
     for stop in range(1, count + 1):
-        length = stop - np.arange(stop)
+        lengths = stop - np.arange(stop)  # of a piece from each start
         spread = squares[stop] - squares[:stop]
-        spread = spread - ((sums[stop] - sums[:stop]) ** 2).sum(axis=1) / length
-        costs = best[:stop] + spread + MOVE_COST
-        before[stop] = int(np.argmin(costs))
-        best[stop] = costs[before[stop]]
+        spread = spread - ((sums[stop] - sums[:stop]) ** 2).sum(axis=1) / lengths
+        costs = least_cost[:stop] + spread + MOVE_COST
+        last_start[stop] = int(np.argmin(costs))
+        least_cost[stop] = costs[last_start[stop]]
     pieces, stop = [], count
     while stop > 0:
-        pieces.append((int(before[stop]), stop))
-        stop = int(before[stop])
+        pieces.append((int(last_start[stop]), stop))
+        stop = int(last_start[stop])
     return pieces[::-1]
 
 
@@ -342,8 +366,7 @@ def align(
         logs = np.log(np.maximum(np.nan_to_num(maps[k]), 1e-3))
         maps[k] = np.exp(turned_back(logs, heading_deg, angles))
         weight = weight_of_variance(interpolation_u(logs, heading_deg, angles) ** 2)
-        # Interpolation made these pixels too uncertain.
-        weight = np.where(weight < 0.5, 0.0, weight)
+        weight = np.where(weight < 0.5, 0.0, weight)  # 0 where interpolation blurs too much
         share = turned_back(has_value[k].astype(float), heading_deg, angles)
         has_value[k] = share > 1.0 - 1e-6
         counts[k] = weight * turned_back(counts[k].astype(float), heading_deg, angles)
@@ -390,4 +413,5 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64]) -> list[str]:
 
 
 def _captures(rows: Mask, days: NDArray[np.datetime64]) -> str:
+    """Return how many captures `rows` selects and their days, as words."""
     return f"{counted(int(rows.sum()), 'capture')} of {listed(np.unique(days[rows]).tolist())}"

@@ -44,8 +44,10 @@ from fieldlum.sky.perez import reinhart_patches
 
 LOG_TOP = 9.2  # log10 of 1.6e9 cd/m2, the sun's disc (paper)
 POWER = 1.0 / 1.5  # of the paper's preprocessing
-PASSES, EPOCHS = 90, 25  # uses of a training pixel at most (paper); validations and checkpoints
-# Updates to reach before batches become larger than the smallest; pixels of a batch
+# Largest number of uses of each training pixel (paper), and number of validations and checkpoints.
+PASSES, EPOCHS = 90, 25
+# Number of updates that a training shall reach before its batches become larger than the smallest,
+# and limits of the pixels of a batch by kind of processor.
 STEPS, MIN_BATCH, MAX_BATCH = 3000, 512, {"cpu": 8192, "cuda": 131_072}
 
 
@@ -63,17 +65,18 @@ class Shape:
 
 
 def encode(luminance_cdm2: Array) -> Floats32:
-    """Return luminance [...] encoded for the network, in the same shape: (log10 L / 9.2)^(1/1.5).
+    """Return luminance as the network's input: (log10 L / 9.2)^(1/1.5), in the same shape.
 
-    Luminance below 1 cd/m2 counts as 1. Larger luminances than 1.6e9 cd/m2 give values above 1.
+    luminance_cdm2: [...]; values below 1 cd/m2 count as 1, and values above 1.6e9 cd/m2 give
+    results above 1.
     """
     return ((np.log10(np.maximum(luminance_cdm2, 1.0)) / LOG_TOP) ** POWER).astype(np.float32)
 
 
 def decode(encoded: Array) -> Floats32:
-    """Return the luminance [cd/m2] of encoded values [...], clipped to 0 to 1, in the same shape.
+    """Return the luminance [cd/m2] of values that `encode` returned, in the same shape [...].
 
-    That bounds every prediction: the least result is 1, the largest 1.6e9 cd/m2.
+    Values are limited to 0 to 1, so that every prediction is between 1 and 1.6e9 cd/m2.
     """
     return (10.0 ** (LOG_TOP * np.clip(encoded, 0.0, 1.0) ** (1.0 / POWER))).astype(np.float32)
 
@@ -82,7 +85,7 @@ class Net(nn.Module):
     """The network of Liu, Colburn and Inanici (2020): two branches that are merged.
 
     Branch one has position, sun, irradiance, mean luminance and sky of a pixel as inputs, branch
-    two the luminance of the sun patch there. With the default sizes the network has 1 689 201
+    two the luminance of the pixel's sun patch. With the default `Shape` the network has 1 689 201
     parameters.
     """
 
@@ -114,7 +117,7 @@ class Net(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """Inputs of branch one (docs/models.md) for n hours and P pixels, which it gets in pairs.
+    """Inputs of branch one (docs/models.md) of n hours and of P pixels, to be combined in pairs.
 
     pixel: x, y (0 to 1 from the left and the top) and encoded mean luminance [P, 3]; sky_patch:
     index of the nearest of 2305 sky patches, -1 at or below the horizon [P]; sun: altitude,
@@ -152,7 +155,7 @@ class Inputs:
 
 
 def inputs_of(average_log10: Floats, heading_deg: float, device: torch.device) -> Inputs:
-    """Return the inputs of all P = H W pixels, row by row, for no hour yet (`Inputs.at`).
+    """Return the inputs of all P = H W pixels, row by row, without hours; `Inputs.at` adds these.
 
     average_log10: mean of log10 L [cd/m2] over training images, at least 0 [H, W]; heading_deg:
     azimuth of the maps' centre column, clockwise from north.
@@ -165,7 +168,7 @@ def inputs_of(average_log10: Floats, heading_deg: float, device: torch.device) -
     nearest = np.full(len(rays), -1)
     up = np.flatnonzero(rays[:, 2] > 0)
     directions = reinhart_patches().directions
-    for rows in np.array_split(up, max(1, len(up) // 8192)):
+    for rows in np.array_split(up, max(1, len(up) // 8192)):  # limits the memory
         nearest[rows] = (rays[rows] @ directions.T).argmax(axis=1)
     return Inputs(
         pixel=torch.from_numpy(fixed.astype(np.float32)).to(device),
@@ -195,8 +198,8 @@ class DenseFitted:
 
     net, shape: the network and its form; average_log10: mean of log10 L over the training images
     [H, W]; heading_deg: azimuth of the maps' centre column; patch: how sun patches are used;
-    domain: range of light in the captures; training: what config.json records of it; held_out_mse:
-    None, because errors on days without captures are not computed for a network.
+    domain: range of light in the captures; training: what config.json records of the training;
+    held_out_mse: None, because errors on days without captures are not computed for a network.
     """
 
     net: Net
@@ -233,10 +236,10 @@ class DenseFitted:
             for k in range(len(light)):
                 if patch_cdm2 is not None and self.patch != "none":
                     direct = torch.from_numpy(encode(patch_cdm2[k].reshape(-1, 1))).to(device)
-                # pixels of a chunk that fits into the processor's cache
+                # 16 384 pixels at a time, which fit into the processor's cache
                 parts = [
-                    net(inputs.scene(torch.full_like(some, k), some), direct[some])
-                    for some in pixels.split(16384)
+                    net(inputs.scene(torch.full_like(chunk, k), chunk), direct[chunk])
+                    for chunk in pixels.split(16384)
                 ]
                 out[k] = decode(torch.cat(parts).cpu().numpy()).reshape(out.shape[1:])
         return self.domain.prediction(out, light)
@@ -296,9 +299,9 @@ def sum_over_ranks(tensor: Tensor) -> Tensor:
 
 
 def rank_0_value(value: float, device: torch.device) -> float:
-    """Return in every process the value (such as the elapsed seconds) of the process with rank 0.
+    """Return in every process the `value` (such as elapsed seconds) of the process with rank 0.
 
-    So all processes decide equally when training ends. device: of this process.
+    With it, all processes decide equally when training ends. device: of this process.
     """
     shared = torch.tensor([value if rank() == 0 else 0.0], dtype=torch.float64, device=device)
     return float(sum_over_ranks(shared).item())
@@ -312,10 +315,11 @@ def rank_0_value(value: float, device: torch.device) -> float:
 class PixelSampler:
     """All pairs of one of n hours and one of P seen pixels, as tensors on one device.
 
-    The index of a pair is hour times P plus the pixel's index in `seen`. inputs: of all pixels in
-    the n hours; target: encoded luminance of the map [n, P]; patch: that of the sun patch [n, P], 0
-    without patches; weight: in the loss: solid angle over the mean, times the value's weight in
-    training [n, P]; seen: flat index of the pixel in the map [P]. The length is n times P.
+    The index of a pair is the hour's index times P plus the pixel's index in `seen`. inputs: of all
+    pixels of the map in the n hours; target: encoded luminance of the map [n, P]; patch: encoded
+    luminance of the sun patch, 0 without patches [n, P]; weight: of the value in the loss: solid
+    angle over the mean, times its weight in training [n, P]; seen: flat index of each pixel in the
+    map [P]. The length is n times P.
     """
 
     inputs: Inputs
@@ -333,9 +337,9 @@ class PixelSampler:
         numbers: indices of the pairs [b]. The results are the scene inputs [b, 8], the encoded
         luminance of the sun patch [b, 1], the encoded target [b] and the weight in the loss [b].
         """
-        hour, place = numbers // len(self.seen), numbers % len(self.seen)
-        scene, direct = self.inputs.scene(hour, self.seen[place]), self.patch[hour, place]
-        return scene, direct.unsqueeze(1), self.target[hour, place], self.weight[hour, place]
+        hour, pixel = numbers // len(self.seen), numbers % len(self.seen)
+        scene, direct = self.inputs.scene(hour, self.seen[pixel]), self.patch[hour, pixel]
+        return scene, direct.unsqueeze(1), self.target[hour, pixel], self.weight[hour, pixel]
 
 
 def pixels_of(data: Dataset, pixels: Inputs, patch: Patch, device: torch.device) -> PixelSampler:
@@ -344,17 +348,18 @@ def pixels_of(data: Dataset, pixels: Inputs, patch: Patch, device: torch.device)
     pixels: result of `inputs_of`; patch: with "none" sun patches are left out.
     """
 
-    def flat(maps: Floats32) -> Tensor:
+    def encoded(maps: Floats32) -> Tensor:
+        """Return the encoded luminance of the seen pixels of maps [n, H, W], [n, P]."""
         return torch.from_numpy(np.stack([encode(m[data.seen]) for m in maps])).to(device)
 
-    target = flat(data.luminance_cdm2)
+    target = encoded(data.luminance_cdm2)
     patches = None if patch == "none" else data.patch_cdm2
     weight = np.broadcast_to(data.weights[data.seen], target.shape)
     weight = weight if data.counts is None else weight * data.counts[:, data.seen]
     return PixelSampler(
         inputs=pixels.at(data.light),
         target=target,
-        patch=torch.zeros_like(target) if patches is None else flat(patches),
+        patch=torch.zeros_like(target) if patches is None else encoded(patches),
         weight=torch.from_numpy(weight.astype(np.float32)).to(device),
         seen=torch.from_numpy(np.flatnonzero(data.seen)).to(device),
     )
@@ -397,10 +402,11 @@ class Trainer:
     def step(self, numbers: Tensor, rate: float) -> float:
         """Update the weights once by the exact gradient of the batch's loss; return that loss.
 
-        numbers: indices of the batch's pairs; rate: learning rate; loss: `loss_value`. If the loss
-        is NaN, the weights did not change. With E and T the weighted squared errors and targets of
-        n pixels, the loss is E / n + 10 sqrt(E / T), so its gradient is that of E times 1 / n +
-        5 / sqrt(E T). Each process differentiates its own part of E, and the parts are summed.
+        numbers: indices of the batch's pairs; rate: learning rate; loss: `loss_value`, NaN if it is
+        not finite: then the weights do not change. With E and T the weighted sums of squared errors
+        and targets of n pixels, the loss is E / n + 10 sqrt(E / T), so that its gradient is that of
+        E times 1 / n + 5 / sqrt(E T). Each process differentiates its own part of E, and the parts
+        are summed.
         """
         self.optimiser.param_groups[0]["lr"] = rate
         self.optimiser.zero_grad()
@@ -418,13 +424,16 @@ class Trainer:
         return loss_value(parts)
 
     def validate(self, pixels: PixelSampler, numbers: Tensor) -> float:
-        """Return the loss of pairs of `pixels`, by index, which training does not use."""
+        """Return the loss of the pairs `numbers` of held-out `pixels`."""
         with torch.no_grad():
-            parts = [self.sums(pixels, some).double() for some in numbers.split(self.largest)]
+            parts = [self.sums(pixels, batch).double() for batch in numbers.split(self.largest)]
         return loss_value(sum_over_ranks(torch.stack(parts).sum(dim=0)))
 
     def pixels_per_s(self) -> float:
-        """Return the measured speed of training; the first of four batches also compiles."""
+        """Return the speed of training, measured on three batches: pixels per second.
+
+        A first batch is not measured, because it also compiles.
+        """
         device, start_s = self.pixels.target.device, 0.0
         count = min(max(self.largest // 8, MIN_BATCH), len(self.pixels))
         numbers = torch.arange(count, device=device).repeat(world())
@@ -454,12 +463,12 @@ def loss_value(parts: Tensor) -> float:
 
 @dataclass(slots=True)
 class Run:
-    """The length and the progress of a training, which is stored in its checkpoint.
+    """The length and the progress of a training, which are stored in its checkpoint.
 
-    steps, batch_pixels: number of updates, and of pixels in each. epoch, step: number of completed
-    epochs and updates; rate: learning rate after the warm-up (paper); best: smallest validation
-    loss so far; elapsed_s, cpu_s: time used; skipped: number of updates omitted because the loss
-    was not finite.
+    steps, batch_pixels: planned number of updates, and number of pixels in each; epoch, step:
+    number of completed epochs and updates; rate: learning rate after the warm-up (paper); best:
+    smallest validation loss so far; elapsed_s, cpu_s: time used; skipped: number of updates omitted
+    because the loss was not finite.
     """
 
     steps: int
@@ -489,13 +498,13 @@ class Run:
 
 
 def affordable_run(trainer: Trainer, budget_s: float | None) -> Run:
-    """Return as many updates as the time allows, and at most 90 passes over the training pixels.
+    """Return a training of as many updates as the time allows, at most 90 uses of each pixel.
 
     budget_s: available time, None for no limit. Raises NotEnoughDataError if it does not allow one
-    pass: errors would depend on the processor's speed.
+    use of each pixel: errors would depend on the processor's speed.
     """
     count = len(trainer.pixels)
-    pixels = float(PASSES * count)
+    pixels = float(PASSES * count)  # in all updates together
     if budget_s is not None:
         speed = rank_0_value(trainer.pixels_per_s(), trainer.pixels.target.device)
         pixels = min(pixels, speed * budget_s)
@@ -520,37 +529,39 @@ def fit(
     """Train the network on `data`; return it with the weights of the smallest validation loss.
 
     patch: with "none" sun patches are not an input; seed: of all random numbers; budget_s: time
-    limit [s]; plan: length, None for `affordable_run`. checkpoint: path, written after each epoch;
-    an existing one is continued, with its length; None for none. shape: widths of the network's
-    layers. Raises InputError for a checkpoint that cannot be used, and as `affordable_run`.
+    limit [s], None for no limit; plan: length of the training, None for `affordable_run`.
+    checkpoint: path of a file that is written after each epoch, None for none; an existing one is
+    continued, with its length. shape: form of the network. Raises InputError for a checkpoint that
+    cannot be used, and NotEnoughDataError as `affordable_run`.
     """
-    started = (time.monotonic(), time.process_time())
+    start_s, start_cpu_s = time.monotonic(), time.process_time()
     device = pick_device()
     if world() > 1 and not dist.is_initialized():
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     torch.manual_seed(seed)
     net = Net(shape).to(device)
-    train, check = validation_split(len(data), seed)
+    train, validation = validation_split(len(data), seed)
     average = np.log10(np.maximum(data.luminance_cdm2[train], 1.0)).mean(axis=0, dtype=np.float64)
     base = inputs_of(average, data.heading_deg, device)
-    held_out = pixels_of(data.take(check), base, patch, device)
+    held_out = pixels_of(data.take(validation), base, patch, device)
     trainer = Trainer(net, pixels_of(data.take(train), base, patch, device))
     if plan is None:
-        spent_s = rank_0_value(time.monotonic() - started[0], device)
+        spent_s = rank_0_value(time.monotonic() - start_s, device)
         plan = affordable_run(trainer, budget_s and max(budget_s - spent_s, 0.0))
     run, best = replace(plan), trainer.weights()
     mark = data_digest(data.digest(), patch, seed, shape)
     if checkpoint is not None and checkpoint.is_file():
         run, best = restore(checkpoint, trainer, mark)
-    started = (started[0] - run.elapsed_s, started[1] - run.cpu_s)
+    # A continued training began earlier, by the time that its checkpoint states.
+    start_s, start_cpu_s = start_s - run.elapsed_s, start_cpu_s - run.cpu_s
     numbers = torch.randperm(len(held_out), generator=torch.Generator().manual_seed(seed))[:60_000]
     while run.share(budget_s) < 1.0:
-        _epoch(trainer, run, best, budget_s, seed, started[0])
-        score = trainer.validate(held_out, numbers.to(device))
-        if math.isfinite(score) and score < run.best:
-            run.best, best = score, trainer.weights()
+        _train_epoch(trainer, run, best, budget_s, seed, start_s)
+        loss = trainer.validate(held_out, numbers.to(device))
+        if math.isfinite(loss) and loss < run.best:
+            run.best, best = loss, trainer.weights()
         run.epoch += 1
-        run.cpu_s = time.process_time() - started[1]
+        run.cpu_s = time.process_time() - start_cpu_s
         if checkpoint is not None and rank() == 0:
             state = {"net": net.state_dict(), "optimiser": trainer.optimiser.state_dict()}
             with replacing(checkpoint) as file:
@@ -566,12 +577,12 @@ def fit(
         "skipped_updates": run.skipped,
         "seed": seed,
         "device": device.type,
-        "validation_slots": [data.slots[i] for i in check],
+        "validation_slots": [data.slots[i] for i in validation],
     }
     return DenseFitted(net, shape, average, data.heading_deg, patch, domain_of(data.light), about)
 
 
-def _epoch(
+def _train_epoch(
     trainer: Trainer,
     run: Run,
     best: dict[str, Tensor],
@@ -579,17 +590,17 @@ def _epoch(
     seed: int,
     start_s: float,
 ) -> None:
-    """Update the weights until the epoch or the time ends; a loss that is no number restores best.
+    """Update the weights until the epoch or the time ends; `trainer` and `run` change in place.
 
-    trainer, run: changed in place; best: the weights of the smallest validation loss so far;
-    budget_s: time limit of the training, None for none; start_s: time.monotonic() at its start;
-    seed: of the random order, which depends on the epoch only: a resumed training has the same
-    batches.
+    A loss that is not finite restores the weights `best`, of the smallest validation loss so far,
+    and halves the learning rate. budget_s: time limit of the training [s], None for none; start_s:
+    time.monotonic() at its start; seed: of the drawn pixels, which depend on seed and epoch only,
+    so that a continued training has the same batches.
     """
-    chance, device = torch.Generator(), trainer.pixels.target.device
-    chance.manual_seed(seed * 1_000_003 + run.epoch)
-    for _ in range(-(-run.steps // EPOCHS)):
-        drawn = torch.randint(len(trainer.pixels), (run.batch_pixels,), generator=chance)
+    device = trainer.pixels.target.device
+    generator = torch.Generator().manual_seed(seed * 1_000_003 + run.epoch)
+    for _ in range(math.ceil(run.steps / EPOCHS)):
+        drawn = torch.randint(len(trainer.pixels), (run.batch_pixels,), generator=generator)
         loss = trainer.step(drawn.to(device), run.rate_now(budget_s))
         run.step += 1
         run.elapsed_s = rank_0_value(time.monotonic() - start_s, device)

@@ -60,9 +60,9 @@ class HeldOutErrors:
 
 
 def limit_of(values: Floats, weight: Floats, trim: float) -> float:
-    """Return the smallest of the values [n] that at most a share `trim` of the weight exceeds.
+    """Return the smallest of the values that is exceeded by at most a share `trim` of the weight.
 
-    weight: [n], at least 0; n must be at least 1.
+    values, weight: [n], n at least 1; weights at least 0.
     """
     order = np.argsort(values)
     above = 1.0 - np.cumsum(weight[order]) / weight.sum()
@@ -70,9 +70,9 @@ def limit_of(values: Floats, weight: Floats, trim: float) -> float:
 
 
 def trimmed_mean(values: Floats, weight: Floats, trim: float = TRIM) -> float:
-    """Return the weighted mean of the values [n] without the largest, `trim` of the weight at most.
+    """Return the weighted mean of the values without the largest; NaN without values.
 
-    NaN without values.
+    values, weight: [n]; trim: largest share of the weight that is omitted with the largest values.
     """
     if not len(values):
         return float("nan")
@@ -81,11 +81,12 @@ def trimmed_mean(values: Floats, weight: Floats, trim: float = TRIM) -> float:
 
 
 def difference(candidate: HeldOutErrors, other: HeldOutErrors, name: str) -> tuple[float, float]:
-    """Return how much larger an error is than that of another candidate, and its standard error.
+    """Return a candidate's mean error minus that of another one, and its standard error.
 
-    name: one of `CRITERIA`, whose unit both have. Both candidates have the same hours. The standard
-    error is that of the trimmed mean, by winsorised differences (Tukey and McLaughlin 1963), where
-    only days are independent; it is 0 with one day. At least one hour must have the errors of both.
+    name: one of `CRITERIA`, whose unit both results have. Both candidates have the same hours. The
+    standard error is that of the trimmed mean, by winsorised differences (Tukey and McLaughlin
+    1963), where only days are independent; it is 0 with one day. At least one hour must have the
+    errors of both.
     """
     own, others = getattr(candidate, name), getattr(other, name)  # errors of each hour [n]
     rows = np.isfinite(own) & np.isfinite(others) & (candidate.weight > 0.0)
@@ -118,18 +119,18 @@ def choose(candidates: Sequence[HeldOutErrors]) -> HeldOutChoice:
     smallest error of DGP is chosen, or of log10 luminance where DGP was not computed.
     """
     remaining = list(range(len(candidates)))
-    order: list[float] = []
+    first_means: list[float] = []  # errors of the first criterion that was computed
     for by in CRITERIA:
         means = [candidate.figure(by) for candidate in candidates]
         if not np.isfinite(means).all():
             continue
-        order = order or means
+        first_means = first_means or means
         best = min(remaining, key=means.__getitem__)
         gaps = {i: difference(candidates[i], candidates[best], by) for i in remaining}
         remaining = [i for i, (gap, error) in gaps.items() if gap <= error]
         if len(remaining) == 1:
             return HeldOutChoice(best, by if len(gaps) > 1 else None)
-    return HeldOutChoice(min(remaining, key=order.__getitem__), None)
+    return HeldOutChoice(min(remaining, key=first_means.__getitem__), None)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -137,7 +138,7 @@ def choose(candidates: Sequence[HeldOutErrors]) -> HeldOutChoice:
 
 
 UNSURE = 1e-2  # relative variance of an hour or a pixel that has half weight; not measured
-UNCERTAIN_WEIGHT = 0.25  # of an hour that is needed; half of the usual deviation; chosen
+UNCERTAIN_WEIGHT = 0.25  # of an hour with an uncertain beam where most hours have one; chosen
 
 
 def sun_is_unmeasured(light: Light) -> Mask:
@@ -151,7 +152,7 @@ def sun_is_unmeasured(light: Light) -> Mask:
 
 
 def light_variance(data: Dataset) -> Array:
-    """Return the relative variance of the irradiance, estimated from its own readings, [n].
+    """Return the relative variance of the irradiance of each hour, from its own readings, [n].
 
     The range of the readings over the bracket (change or noise) counts as the width of a
     rectangular distribution (JCGM 100:2008, 4.3.7). The sun's normal irradiance is a difference of
@@ -160,33 +161,35 @@ def light_variance(data: Dataset) -> Array:
     is added.
     """
     light = data.light
-    variance = (data.steadiness / (np.sqrt(12.0) * _upwards(light))) ** 2
+    variance = (data.steadiness / (np.sqrt(12.0) * _sine_of_altitude(light))) ** 2
     # A sun that was not measured may give as much light as the sky: a relative variance of 1.
     return variance + sun_is_unmeasured(light)
 
 
-def _upwards(light: Light) -> Array:
+def _sine_of_altitude(light: Light) -> Array:
+    """Return the sine of the sun's altitude, [n]; altitudes below 1 degree count as 1 degree."""
     # Horizontal readings do not give the normal irradiance of a sun below 1 degree.
     return np.sin(np.radians(np.maximum(light.sun_altitude_deg, 1.0)))
 
 
 def offset_variance(light: Light) -> Array:
-    """Return the relative variance of the irradiance by a zero offset of a reading, [n]."""
+    """Return the relative variance of the irradiance that a reading's zero offset causes, [n]."""
     total_wm2 = np.maximum(light.dhi_wm2 + light.dni_wm2, 1e-9)
-    return (ZERO_OFFSET_WM2 / (_upwards(light) * total_wm2)) ** 2
+    return (ZERO_OFFSET_WM2 / (_sine_of_altitude(light) * total_wm2)) ** 2
 
 
 def beam_variance(light: Light) -> Array:
-    """Return the relative variance of the light by its beam, a difference of two readings, [n].
+    """Return the relative variance of the light that errors of the direct irradiance cause, [n].
 
-    It is 1 at most. A beam of 100 W/m2 at 5 degrees, with another efficacy than Perez's, would
-    teach that the patches of stronger ones nearby are 1.7 times as bright (measured: upstairs).
+    Direct irradiance is a difference of two readings. The variance is 0 without it, and 1 at most.
+    Without this variance, a beam of 100 W/m2 at 5 degrees, whose efficacy differs from Perez's,
+    made the patches of stronger beams nearby 1.7 times as bright (measured in the room upstairs).
     """
     return np.where(light.dni_wm2 > 0.0, np.minimum(2.0 * offset_variance(light), 1.0), 0.0)
 
 
 def weight_of_variance(variance: Floats) -> Floats:
-    """Return 1 / (1 + variance / 0.01), weights 1 to 0 for relative variances [n]."""
+    """Return weights 1 to 0 for relative variances [...], 1 / (1 + variance / UNSURE)."""
     return 1.0 / (1.0 + variance / UNSURE)
 
 
@@ -197,7 +200,7 @@ def beam_is_uncertain(data: Dataset) -> Mask:
     whose irradiance `pair` marked (`Dataset.uncertain`).
     """
     light = data.light
-    # DNI of an overcast hour, within the errors of two horizontal readings
+    # Up to 20 W/m2 the DNI can be that of an overcast hour, by errors of two horizontal readings.
     low = (light.sun_altitude_deg < LOW_SUN_DEG) & (light.dni_wm2 > 20.0)
     uncertain = low | sun_is_unmeasured(light)
     return uncertain if data.uncertain is None else uncertain | data.uncertain
@@ -216,8 +219,8 @@ def is_badly_measured(data: Dataset) -> Mask:
 def choice_weights(data: Dataset) -> Floats:
     """Return the weights of hours in choices and warnings, 0 to 1, [n].
 
-    Hours of an uncertain beam have none. If fewer than two thirds of the hours would remain, they
-    have a quarter instead. Unsteady light lowers the weight further.
+    Hours with an uncertain beam have the weight 0, or 0.25 if fewer than two thirds of the hours
+    would remain. The weight of the others is 1 for steady light and less for unsteady light.
     """
     uncertain = beam_is_uncertain(data)
     minimum = 0.0 if (~uncertain).mean() >= 2.0 / 3.0 else UNCERTAIN_WEIGHT

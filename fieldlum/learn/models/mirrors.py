@@ -35,18 +35,19 @@ from fieldlum.sky import sun_disc
 from fieldlum.sky.daylight import Light
 
 GLASS_INDEX = 1.52  # refractive index of soda-lime glass (EN 572-1: 1.50 rounded; Radiance: 1.52)
-# No spot this near to the sun is an image: its pixels can be the sky around the sun, and a mirror
+# A spot this near to the sun is no image: its pixels can be the sky around the sun, and a mirror
 # seen at such a grazing angle does not show its normal. Chosen.
 _NEAR_SUN_DEG = 10.0
-# Ephemeris, level and heading of the camera together; chosen as a large value.
+# Errors of ephemeris, level and heading of the camera together; chosen as a large value.
 _POINTING_DEG = 1.0
 _WITHIN_PIXEL = 0.75  # pixels: half the diagonal of a pixel is 0.71
-_FEWEST_CAPTURES = 3  # two spots agree in some normal by chance; chosen
-# of the spots that may be images: among hundreds of random spots some agree in a normal; chosen
+_MIN_CAPTURES = 3  # two spots agree in some normal by chance; chosen
+# Share of the spots that must be images: among hundreds of random spots some agree in a normal.
+# Chosen.
 _MIN_SHARE = 0.05
 # Panes of one facade are not exactly parallel: images up to this multiple of the tolerance away
 # belong to a mirror, and spots up to the second multiple to no other mirror. Chosen.
-_DISTORTED, _NEXT_MIRROR = 2.0, 3.0
+_SAME_MIRROR, _OTHER_MIRROR = 2.0, 3.0
 
 
 # ----------------------------------------------------------------------------------------------
@@ -57,8 +58,8 @@ _DISTORTED, _NEXT_MIRROR = 2.0, 3.0
 class SunImage:
     """A bright spot of a map that may be an image of the sun.
 
-    row: index of the capture; towards: unit vector to it, x east, y north, z up [3]; spot: its
-    place, pixels and illuminance.
+    row: index of the capture; towards: unit vector from the camera to the spot, x east, y north, z
+    up [3]; spot: its place, pixels and illuminance, measured as those of a sun disc.
     """
 
     row: int
@@ -68,9 +69,10 @@ class SunImage:
 
 @dataclass(frozen=True, slots=True)
 class MirrorPlane:
-    """The normal [3] of a plane mirror, towards the sun; u_deg: its standard uncertainty per axis.
+    """A plane mirror that captures show.
 
-    images: one of each capture that shows the sun in it.
+    normal: unit vector of the plane on the sun's side [3]; u_deg: its standard uncertainty per
+    axis; images: one image of each capture that shows the sun in the mirror.
     """
 
     normal: Floats
@@ -85,9 +87,9 @@ def mirrored(suns: ArrayLike, normal: ArrayLike) -> Floats:
 
 
 def ring_around(towards: Floats, angle_rad: float) -> Floats:
-    """Return the eight directions at an angle around each of some directions [n, 3], [8, n, 3]."""
-    other = np.where(np.abs(towards[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    right = np.cross(towards, other)
+    """Return eight directions at an angle around each direction, [8, n, 3]; towards: [n, 3]."""
+    not_parallel = np.where(np.abs(towards[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    right = np.cross(towards, not_parallel)
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     up = np.cross(right, towards)
     turns = np.arange(8)[:, None, None] * np.pi / 4.0
@@ -98,12 +100,13 @@ def ring_around(towards: Floats, angle_rad: float) -> Floats:
 def glass_reflectance(cosine: ArrayLike) -> Floats:
     """Return the reflectance of one air-glass surface for unpolarised light (Fresnel), [...].
 
-    cosine: of the angle of incidence. Hecht, Optics, 4.6.2, with `GLASS_INDEX`.
+    cosine: of the angle of incidence [...]. Hecht, Optics, 4.6.2, with `GLASS_INDEX`.
     """
-    inside = np.clip(np.abs(np.asarray(cosine, float)), 0.0, 1.0)
-    beyond = np.sqrt(1.0 - (1.0 - inside**2) / GLASS_INDEX**2)  # cosine in the glass
-    across = (inside - GLASS_INDEX * beyond) / (inside + GLASS_INDEX * beyond)
-    along = (GLASS_INDEX * inside - beyond) / (GLASS_INDEX * inside + beyond)
+    in_air = np.clip(np.abs(np.asarray(cosine, float)), 0.0, 1.0)
+    in_glass = np.sqrt(1.0 - (1.0 - in_air**2) / GLASS_INDEX**2)
+    # amplitudes of light polarised across and along the plane of incidence
+    across = (in_air - GLASS_INDEX * in_glass) / (in_air + GLASS_INDEX * in_glass)
+    along = (GLASS_INDEX * in_air - in_glass) / (GLASS_INDEX * in_air + in_glass)
     return (across**2 + along**2) / 2.0
 
 
@@ -120,12 +123,12 @@ def near_sun_rad(height: int) -> float:
 def bright_spots(
     luminance_cdm2: Floats, heading_deg: float, sun: Floats, dni_wm2: float, row: int
 ) -> list[SunImage]:
-    """Return the compact spots of a map that no surface in the sun can be as bright as.
+    """Return the compact spots of a map that are brighter than any surface in the sun.
 
     Each has the brightness and the energy that `find_disc` requires. luminance_cdm2: map [H, W];
-    heading_deg: azimuth of its centre; sun: unit vector [3] to the sun, whose surroundings are not
-    searched; dni_wm2: of the capture; row: its index, stored in the spots. The list is empty
-    without spots.
+    heading_deg: azimuth of its centre column; sun: unit vector [3] to the sun, whose surroundings
+    are not searched; dni_wm2: direct normal irradiance of the capture; row: index of the capture,
+    stored in the spots. The list is empty without spots, and has six of them at most.
     """
     light = np.nan_to_num(np.asarray(luminance_cdm2, np.float32), posinf=0.0, neginf=0.0)
     height, width = light.shape
@@ -151,17 +154,17 @@ def bright_spots(
 def without_lamps(
     spots: Sequence[SunImage], suns: Floats, direct_lx: Floats, height: int
 ) -> list[SunImage]:
-    """Return the spots that are dimmer than the sun and move when it moves by 3 tolerances.
+    """Return the spots that can be images: dimmer than the sun, and moving as it moves.
 
-    A spot at the place of a brighter one, a lamp, is omitted too. suns [n, 3], direct_lx [n]: of
-    all captures, whose rows the spots name. height: rows of the maps.
+    Omitted are spots brighter than the sun (lamps), spots at the place of a lamp, and spots that
+    are in one place while the sun moves by 3 tolerances. suns [n, 3], direct_lx [n]: direction and
+    normal illuminance of the sun in all captures; height: rows of the maps.
     """
     places, rows = _places_of(spots)
-    near = np.cos(tolerance_rad(height))
-    moved = np.cos(3.0 * tolerance_rad(height))
+    same_place = places @ places.T > np.cos(tolerance_rad(height))  # [spots, spots]
+    sun_moved = suns[rows] @ suns[rows].T < np.cos(3.0 * tolerance_rad(height))
     lamp = np.array([spot.spot.normal_lx for spot in spots]) > np.asarray(direct_lx)[rows]
-    other_sun = (suns[rows] @ suns[rows].T < moved) | lamp  # [spots, spots]
-    stays = ((places @ places.T > near) & other_sun).any(axis=1)
+    stays = (same_place & (sun_moved | lamp)).any(axis=1)
     return [spots[int(k)] for k in np.flatnonzero(~lamp & ~stays)]
 
 
@@ -170,29 +173,28 @@ def find_mirrors(
 ) -> list[MirrorPlane]:
     """Return the plane mirrors in which spots of three or more captures are images of the sun.
 
-    Spots of distant suns that stay in one place, and few among many, are no images.
-
-    spots: of all captures, by `bright_spots`; suns [n, 3] and direct_lx [n]: direction of each
-    capture's sun, and its illuminance on a plane normal to it; height: rows of the maps.
+    spots: of all captures, by `bright_spots`; those that `without_lamps` omits do not count. suns
+    [n, 3] and direct_lx [n]: direction of each capture's sun, and its illuminance on a plane normal
+    to it; height: rows of the maps.
     """
     rest = without_lamps(spots, suns, direct_lx, height)
     mirrors = []
     while (mirror := _best_mirror(rest, suns, height)) is not None:
         mirrors.append(mirror)
         places, rows = _places_of(rest)
-        off = _angles(mirrored(suns[rows], mirror.normal), places)
-        same = off <= _NEXT_MIRROR * tolerance_rad(height)
-        rest = [spot for spot, is_same in zip(rest, same, strict=True) if not is_same]
+        off_rad = _angles_rad(mirrored(suns[rows], mirror.normal), places)
+        others = np.flatnonzero(off_rad > _OTHER_MIRROR * tolerance_rad(height))
+        rest = [rest[k] for k in others]
     return mirrors
 
 
 def _best_mirror(rest: Sequence[SunImage], suns: Floats, height: int) -> MirrorPlane | None:
-    """Return the mirror with the most images among some spots; None if no normal is certain.
+    """Return the mirror with the most images among the spots `rest`; None if none is certain.
 
-    It must explain the places of the spots twice as well as one fixed place does. suns: directions
-    of the sun by capture [n, 3]; height: rows of the panorama.
+    It must explain the places of its images twice as well as one fixed place does. suns: directions
+    of the sun by capture [n, 3]; height: rows of the maps.
     """
-    if len(rest) < _FEWEST_CAPTURES:
+    if len(rest) < _MIN_CAPTURES:
         return None
     places, rows = _places_of(rest)
     across = places - suns[rows]  # [spots, 3], along the normal
@@ -205,43 +207,53 @@ def _best_mirror(rest: Sequence[SunImage], suns: Floats, height: int) -> MirrorP
     normal = _normal_of(across[chosen])
     for _ in range(3):
         chosen = _agreeing(normal, places, rows, suns, reach)
-        if len(chosen) < max(_FEWEST_CAPTURES, _MIN_SHARE * len(rest)):
+        if len(chosen) < max(_MIN_CAPTURES, _MIN_SHARE * len(rest)):
             return None
         normal = _normal_of(across[chosen])
-    off = _angles(mirrored(suns[rows[chosen]], normal), places[chosen])
+    off_rad = _angles_rad(mirrored(suns[rows[chosen]], normal), places[chosen])
     middle = places[chosen].mean(axis=0)
-    fixed = _angles(middle / np.linalg.norm(middle), places[chosen])
-    if np.sqrt((off**2).mean()) > 0.5 * np.sqrt((fixed**2).mean()):
+    fixed_rad = _angles_rad(middle / np.linalg.norm(middle), places[chosen])
+    if np.sqrt((off_rad**2).mean()) > 0.5 * np.sqrt((fixed_rad**2).mean()):
         return None
-    sigma = max(float(np.sqrt((off**2).mean() / 2.0)), sun_disc.PIXEL_SIGMA * np.pi / height)
+    # standard deviation of a place along each of two axes [rad]
+    sigma = max(float(np.sqrt((off_rad**2).mean() / 2.0)), sun_disc.PIXEL_SIGMA * np.pi / height)
     _, first = np.unique(np.round(places[chosen] / (np.pi / height)), axis=0, return_index=True)
     u_rad = sigma / np.sqrt((across[chosen][first] ** 2).sum())  # places in one pixel err alike
     towards_sun = normal * np.sign((suns[rows[chosen]] @ normal).sum())
-    images = _agreeing(normal, places, rows, suns, _DISTORTED * reach)
+    images = _agreeing(normal, places, rows, suns, _SAME_MIRROR * reach)
     return MirrorPlane(towards_sun, float(np.degrees(u_rad)), tuple(rest[k] for k in images))
 
 
 def _places_of(spots: Sequence[SunImage]) -> tuple[Floats, Indices]:
-    """Return the directions [k, 3] and the captures [k] of spots."""
+    """Return the directions of k spots [k, 3], and the indices of their captures [k]."""
     return np.stack([spot.towards for spot in spots]), np.array([spot.row for spot in spots])
 
 
-def _angles(a: Floats, b: Floats) -> Floats:
+def _angles_rad(a: Floats, b: Floats) -> Floats:
+    """Return the angle between each unit vector of `a` and the one of `b` in the same row, [n]."""
     return np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0))
 
 
 def _normal_of(across: Floats) -> Floats:
-    """Return the direction [3] with the smallest squared distances from d - s [k, 3]."""
+    """Return the unit normal [3] of the plane that best explains k images.
+
+    across: direction of each image minus that of its sun, which is along the normal [k, 3]. The
+    result has the largest sum of squared projections; its sign is arbitrary.
+    """
     return np.linalg.eigh(across.T @ across)[1][:, -1]
 
 
 def _agreeing(
     normal: Floats, places: Floats, rows: Indices, suns: Floats, reach_rad: float
 ) -> Indices:
-    """Return the indices of the spots at the images in a plane, one for each capture."""
-    off = _angles(mirrored(suns[rows], normal), places)
-    order = np.argsort(off, kind="stable")
-    order = order[off[order] <= reach_rad]
+    """Return the indices of the spots that are images in a plane, the nearest of each capture.
+
+    normal: of the plane [3]; places [k, 3], rows [k]: directions and captures of the spots; suns:
+    of all captures [n, 3]; reach_rad: how far a spot may be from the computed image.
+    """
+    off_rad = _angles_rad(mirrored(suns[rows], normal), places)
+    order = np.argsort(off_rad, kind="stable")
+    order = order[off_rad[order] <= reach_rad]
     return np.sort(order[np.unique(rows[order], return_index=True)[1]])
 
 
@@ -270,8 +282,7 @@ class MirroredSun:
 
     @property
     def uncertain(self) -> Mask:
-        """Mask [n], True where the chance that `shown` is wrong exceeds 5 %."""
-        # an hour is not trusted if the chance of a wrong decision is larger
+        """Mask [n], True where the chance that `shown` is wrong exceeds 5 %: not to be trusted."""
         return np.where(self.shown, 1.0 - self.chance, self.chance) > 0.05
 
 
@@ -305,18 +316,16 @@ class Mirror:
     def images(self, light: Light, heading_deg: float) -> MirroredSun:
         """Return the image of the sun in each of the n hours of `light`.
 
-        heading_deg: azimuth of the middle of the map `chance`.
+        heading_deg: azimuth of the centre column of the map `chance`.
         """
         suns = light.apparent_sun_direction
         towards, cosine = mirrored(suns, self.normal), suns @ self.normal
         # Standard deviation of an image's place over `tolerance_rad`, which no place exceeds
         reach = 0.5 * tolerance_rad(len(self.chance))
-        chances = np.stack(
-            [
-                self.chance.reshape(-1)[pixels(way, self.chance.shape, heading_deg)]
-                for way in (towards, *ring_around(towards, reach))
-            ]
-        )  # [1 + k, n]
+        # The image's own direction first, then eight around it.
+        directions = np.concatenate((towards[None], ring_around(towards, reach)))  # [9, n, 3]
+        places = flat_pixels(directions, self.chance.shape, heading_deg)
+        chances = self.chance.reshape(-1)[places]  # [9, n]
         ahead = (cosine > 0.0) & (light.direct_lx > 0.0) & (suns[:, 2] > 0.0)
         share = np.minimum(self.factor * glass_reflectance(cosine), 1.0)
         return MirroredSun(
@@ -328,9 +337,8 @@ class Mirror:
 
     @property
     def warning(self) -> str:
-        """Warning text of `train`, to follow "WARNING: 3 of 40 captures"."""
-        altitude, turn = (round(float(v)) for v in altitude_azimuth_deg(np.array(self.normal)))
-        azimuth = turn % 360
+        """The warning of `train`, without its beginning: "WARNING: 3 of 40 captures"."""
+        altitude, azimuth = (round(float(v)) for v in altitude_azimuth_deg(np.array(self.normal)))
         right = f"the other days are right for {self.judged - self.wrong} of {self.judged} captures"
         if self.predicted:
             result = f"Predicted hours include the mirrored sun where captures showed it ({right})"
@@ -338,20 +346,21 @@ class Mirror:
             cause = right if self.measured else "its images are clipped: use a shorter exposure"
             result = f"No mirrored sun is predicted: DGP is a lower bound ({cause})"
         return (
-            f"show the sun in a plane mirror (normal at azimuth {azimuth}, altitude {altitude} "
-            f"degrees, u {self.u_deg:.1f} degrees): a glass facade, water or a glossy surface. "
-            f"{result}. Hours in which it is unclear whether it is in view are not trusted"
+            f"show the sun in a plane mirror (normal at azimuth {azimuth % 360}, altitude "
+            f"{altitude} degrees, u {self.u_deg:.1f} degrees): a glass facade, water or a glossy "
+            f"surface. {result}. Hours in which it is unclear whether it is in view are not trusted"
         )
 
 
-def pixels(towards: Floats, shape: tuple[int, ...], heading_deg: float) -> Indices:
-    """Return the index in the flattened map of the pixel in each direction, [n].
+def flat_pixels(towards: Floats, shape: tuple[int, ...], heading_deg: float) -> Indices:
+    """Return the index in the flattened map of the pixel in each direction, [...].
 
-    towards: unit vectors [n, 3]; shape: (H, W); heading_deg: azimuth of the middle of the map.
+    towards: unit vectors [..., 3]; shape: (H, W) of the map; heading_deg: azimuth of its centre
+    column.
     """
     row, column = equirect_pixel(*altitude_azimuth_deg(towards), shape[0], shape[1], heading_deg)
-    i = np.clip(row.astype(int), 0, shape[0] - 1)
-    return i * shape[1] + column.astype(int) % shape[1]
+    pixel = (row.astype(int), column.astype(int))
+    return np.ravel_multi_index(pixel, shape, mode=("clip", "wrap"))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -371,10 +380,9 @@ def read_mirrors(folder: Path, config: ModelConfig) -> tuple[Mirror, ...]:
         arrays = read_arrays(folder / "weights.npz")
         out = [deserialised(Mirror, table, arrays) for table in tables]
         for mirror in out:
-            numbers = [*mirror.normal, mirror.u_deg, mirror.factor]
-            if mirror.chance.shape != (config.height, config.width) or len(numbers) != 5:
-                raise ValueError("mirrors that cannot be used: a map or a normal of another size")
-            if not np.isfinite(numbers).all():
+            if mirror.chance.shape != (config.height, config.width):
+                raise ValueError("mirrors that cannot be used: a map of another size")
+            if not np.isfinite([*mirror.normal, mirror.u_deg, mirror.factor]).all():
                 raise ValueError("mirrors that cannot be used: a value that is not a number")
         return tuple(out)
 
@@ -384,9 +392,9 @@ def read_mirrors(folder: Path, config: ModelConfig) -> tuple[Mirror, ...]:
 
 
 def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
-    """Remove images of the sun in plane mirrors from the captures; return them and the mirrors.
+    """Return the captures without images of the sun in plane mirrors, and these mirrors.
 
-    The pixels of an image get the luminance of their surroundings. If no mirror is found, return
+    The pixels of an image get the luminance of their surroundings. Without any mirror, return
     `data` itself and an empty tuple.
     """
     light, suns = data.light, data.light.apparent_sun_direction
@@ -406,7 +414,7 @@ def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
 
 
 def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
-    """Return a plane with the energy of its images, and where they are visible; see `Mirror`."""
+    """Return the mirror of a plane: the energy of its images, and where they are visible."""
     suns, rows = data.light.apparent_sun_direction, np.array([image.row for image in plane.images])
     full_lx = glass_reflectance(suns @ plane.normal) * data.light.direct_lx  # [n], if of glass
     factors = np.array([image.spot.normal_lx for image in plane.images]) / full_lx[rows]
@@ -415,16 +423,16 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     valid = np.array([(counts[i.row][i.spot.pixels] > 0.0).all() for i in plane.images])
     factor = float(np.median(factors[valid] if valid.any() else factors))
     towards = mirrored(suns, plane.normal)
-    at = pixels(towards, data.shape, data.heading_deg)
+    places = flat_pixels(towards, data.shape, data.heading_deg)  # of the image in each capture [n]
     visible = np.isin(np.arange(len(data)), rows)
     limit = np.array([sun_disc.brightest_surface_cdm2(float(dni)) for dni in data.light.dni_wm2])
-    bright = factor * full_lx / equirect_solid_angles(*data.shape).reshape(-1)[at]  # cd/m2
-    # An image next to the sun, which is not searched, is at a grazing angle.
+    bright = factor * full_lx / equirect_solid_angles(*data.shape).reshape(-1)[places]  # cd/m2
+    # Images next to the sun, where `bright_spots` does not search, are at a grazing angle.
     front = suns @ plane.normal > np.sin(near_sun_rad(data.shape[0]) / 2.0)
-    # An image is twice as bright as any surface that `bright_spots` allows.
-    shows = (bright > 2.0 * limit) & front & data.seen.reshape(-1)[at]
-    judged = np.flatnonzero(visible | shows)
-    chance, wrong = _chance(data, judged, towards[judged], at[judged], visible[judged])
+    # Captures that would show the image, twice as bright as any surface, if nothing hid it.
+    would_show = (bright > 2.0 * limit) & front & data.seen.reshape(-1)[places]
+    judged = np.flatnonzero(visible | would_show)
+    chance, wrong = _visible_chance(data, judged, towards[judged], places[judged], visible[judged])
     east, north, up = plane.normal.tolist()
     return Mirror(
         normal=(east, north, up),
@@ -438,37 +446,40 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     )
 
 
-def _chance(
-    data: Dataset, label: Indices, towards: Floats, at: Indices, visible: Mask
+def _visible_chance(
+    data: Dataset, judged: Indices, towards: Floats, places: Indices, visible: Mask
 ) -> tuple[Floats32, int]:
-    """Return the chance [H, W] that an image is visible, and the labels wrong by the other days.
+    """Return the chance that an image in each pixel is visible, and how many labels contradict.
 
-    label: captures [k]; towards, at, visible: direction [k, 3], pixel [k] and label [k] of their
-    images.
+    The chance is a map [H, W], 0 to 1. A label contradicts if the labels of the other days predict
+    the opposite. judged: the k labelled captures; towards [k, 3], places [k]: directions of their
+    images and flat pixel indices; visible: their labels [k].
     """
     compared = evenly_spread(len(data), 40)  # captures, to compare pixels; limits the time
     maps = np.log10(np.maximum(data.luminance_cdm2[compared], 1.0)).reshape(len(compared), -1)
     rays = equirect_rays(*data.shape, data.heading_deg).reshape(-1, 3)
     chance = np.empty(len(rays), np.float32)
     for part in np.array_split(np.arange(len(rays)), len(rays) // 4096 + 1):  # limits the memory
-        chance[part] = _voted(rays[part] @ towards.T, maps[:, part], maps[:, at], visible)
+        cosine = rays[part] @ towards.T
+        chance[part] = _visible_share(cosine, maps[:, part], maps[:, places], visible)
     wrong = 0
-    for day in np.unique(data.days[label]):
-        out = data.days[label] == day
-        of_images, of_labels = maps[:, at[out]], maps[:, at[~out]]
-        held_out = _voted(rays[at[out]] @ towards[~out].T, of_images, of_labels, visible[~out])
-        wrong += int(((held_out > 0.5) != visible[out]).sum())
+    for day in np.unique(data.days[judged]):
+        out = data.days[judged] == day
+        held_out, others = places[out], places[~out]
+        cosine = rays[held_out] @ towards[~out].T
+        share = _visible_share(cosine, maps[:, held_out], maps[:, others], visible[~out])
+        wrong += int(((share > 0.5) != visible[out]).sum())
     return chance.reshape(data.shape), wrong
 
 
-def _voted(cosine: Floats, pixels: Floats32, labels: Floats32, visible: Mask) -> Floats:
-    """Return the weighted share of visible labels for m pixels, [m].
+def _visible_share(cosine: Floats, pixels: Floats32, labels: Floats32, visible: Mask) -> Floats:
+    """Return the share of visible labels, weighted by their likeness to each of m pixels, [m].
 
-    cosine [m, k]: between pixels and labels; pixels [n, m], labels [n, k]: log10 luminance over n
-    captures; visible [k].
+    cosine: of the angles between pixels and labels [m, k]; pixels [n, m], labels [n, k]: log10
+    luminance of the pixels and of the labels' pixels in n captures; visible: the labels [k].
     """
     square = (pixels**2).sum(axis=0)[:, None] + (labels**2).sum(axis=0) - 2.0 * pixels.T @ labels
-    # rms difference of log10 luminance over the captures
+    # Mean squared difference of log10 luminance over the captures, in units of 0.1 squared.
     unlike = np.maximum(square, 0.0) / len(pixels) / 0.1**2
     alike = np.exp(-0.5 * unlike.astype(float))  # [m, k]
     angle_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
@@ -476,10 +487,10 @@ def _voted(cosine: Floats, pixels: Floats32, labels: Floats32, visible: Mask) ->
     # degrees, 0.05 to 0.2) change the error of DGP by -25 to +30 %, some by a factor of two
     # (docs/decisions.md).
     near = alike * np.exp(-0.5 * (angle_deg / 9.0) ** 2)
-    # A label far away counts a hundredth, if its pixel is alike.
+    # A distant label counts a hundredth, if its pixel is similar.
     weight = near + 0.01 * alike
-    # a label of weight 1e-4, less than any alike one, has a chance of one half
+    # Without any similar label the share is one half: that of an added label of weight 1e-4.
     share = (weight @ visible + 0.5e-4) / (weight.sum(axis=1) + 1e-4)
-    # A label further than two widths away, or not alike, does not make an image certain.
+    # A label further than two widths away, or not similar, does not make an image certain.
     supported = near.max(axis=1, initial=0.0) >= np.exp(-2.0)
     return np.where(supported, share, np.minimum(share, 0.9))

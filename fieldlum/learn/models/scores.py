@@ -5,8 +5,7 @@ map. For the prediction, `dgp_mse_own_disc` uses the disc that a user gets: from
 
 That paper's way: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum
 e^2 / sum t^2) of log10 L over the complete test; DGP of ten views; RAMMG in cd/m2 of five pyramid
-levels. By solid angle: weights with a mean of 1; mean,
-median, 90th percentile and worst image.
+levels. By solid angle: weights with a mean of 1; mean, median, 90th percentile and worst image.
 """
 
 import time
@@ -32,27 +31,26 @@ from fieldlum.year.glare import metrics
 from fieldlum.year.glare.sources import Views, panorama_views, view_azimuths_deg
 
 FLOOR_CDM2 = 1.0  # paper
-# fields of `Scores` that `evaluate` adds: those that need glare, and the times
-_GLARE = ("dgp_mse", "dgp_mse_own_disc", "dgp_mae", "rammg_error", "ev_error")
-_ADDED = (*_GLARE, "seconds", "cpu_s")
+# Fields of `Scores` that `compare` leaves NaN and `evaluate` adds: errors of glare, and times.
+_ADDED = ("dgp_mse", "dgp_mse_own_disc", "dgp_mae", "rammg_error", "ev_error", "seconds", "cpu_s")
 
 
 @dataclass(slots=True)
 class Scores:
     """The scores of n predicted maps: arrays [n] with a value for each map, NaN if not computed.
 
-    Errors are of log10 luminance L, predicted less true. mse_weighted, mse: mean squared error
-    of the pixels, by solid angle or equally weighted; truth2, truth2_weighted: the same of true
-    log10 L; dgp_mse, dgp_mae: mean over ten views of the squared and absolute
-    error of DGP; rammg_error: RAMMG
-    predicted less true; expected_mse: error that the model itself
-    expected; trusted: whether the model trusts the hour; ev_error: mean absolute error of ln Ev;
-    day: local date; weight: of the hour in choices (`choice_weights`); slots: names of the hours.
-    DGP and Ev are those of fully seen view directions, of all ten if no lens sees one. dgp_mse has
-    the true sun's disc in the prediction; dgp_mse_own_disc the disc by the sky view, as a user
-    gets it. bias_log10: weighted mean of log10 predicted over true. in_band: share of
-    pixels whose truth is in the model's 90 % interval. seconds, cpu_s: spent predicting it, by
-    the clock and by the processor. maps: those whose glare was computed, None if it was for none.
+    Errors are predicted minus true values of log10 luminance L. mse_weighted, mse: mean squared
+    error of the pixels, by solid angle or equally weighted; truth2_weighted, truth2: the same means
+    of the squared true log10 L; dgp_mse, dgp_mae: mean squared and mean absolute error of DGP over
+    the view directions, with the true sun disc in the prediction; dgp_mse_own_disc: the first with
+    the disc by the sky view, as a user gets it; bias_log10: mean error by solid angle; rammg_error:
+    predicted minus true RAMMG [cd/m2]; expected_mse: error that the model itself expected; trusted:
+    whether the model trusts the hour; in_band: share of pixels whose truth is in the model's 90 %
+    interval; ev_error: mean absolute error of ln Ev over the view directions; day: local date;
+    weight: of the hour in choices (`choice_weights`); seconds, cpu_s: time to predict the map, by
+    the clock and by the processor; slots: names of the hours; maps: stored maps of the hours whose
+    glare was computed, None without any. View directions are those of the ten that lenses saw
+    fully, or all ten if no lens saw one fully.
     """
 
     mse_weighted: Floats
@@ -80,7 +78,7 @@ class Scores:
 
     @property
     def errors(self) -> HeldOutErrors:
-        """The errors by which models are chosen."""
+        """Errors of each hour by which models are chosen."""
         return HeldOutErrors(
             dgp=self.dgp_mae,
             ev=self.ev_error,
@@ -108,10 +106,10 @@ class Truth:
     """Everything about a test set that does not depend on the model.
 
     data: n test captures; views: ten view directions; glare_maps: mask [n] of the maps for which
-    glare is computed; dgp: true DGP of the views [n, 10]; rammg_cdm2: true contrast [n]; both NaN
-    where not computed; ev_lx: true vertical illuminance [n, 10]; full: mask [10] of the views that
-    a lens saw completely, or all; weight: of the hours in choices [n]; own_disc_lx: the sun disc's
-    illuminance by the sky view [n], NaN without glare.
+    glare is computed; dgp, ev_lx: true DGP and vertical illuminance of the views [n, 10];
+    rammg_cdm2: true contrast of the map [n]; all three NaN where not computed; full: mask [10] of
+    the views that a lens saw completely, all True if there are none; weight: of the hours in
+    choices [n]; own_disc_lx: the sun disc's illuminance by the sky view [n], NaN without glare.
     """
 
     data: Dataset
@@ -126,7 +124,7 @@ class Truth:
 
 
 def truth(data: Dataset, *, glare: bool = True) -> Truth:
-    """Compute what `evaluate` needs of a test set and what does not depend on the model.
+    """Return what `evaluate` needs to know about the test captures `data`, for any model.
 
     glare: also compute DGP and RAMMG of at most 150 true maps, spread evenly over `data`, and
     the sun discs by the sky view; if False, glare is scored for no map.
@@ -137,8 +135,8 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
         with_glare[evenly_spread(n, 150)] = True
     azimuths_deg = view_azimuths_deg(data.heading_deg)
     views = panorama_views(*data.shape, data.heading_deg, azimuths_deg, data.seen)
-    d = len(views.azimuths_deg)
-    dgp, ev, rammg = np.full((n, d), np.nan), np.full((n, d), np.nan), np.full(n, np.nan)
+    by_view = (n, len(views.azimuths_deg))
+    dgp, ev, rammg = np.full(by_view, np.nan), np.full(by_view, np.nan), np.full(n, np.nan)
     for rows in _chunks(np.flatnonzero(with_glare)):
         part = data.take(rows)
         suns, maps = part.light.apparent_sun_direction, part.luminance_cdm2
@@ -147,18 +145,18 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
         rammg[rows] = _rammg(maps, part)
     own_disc = disc_lx(data.sky_view, data.setup, data.light) if glare else np.full(n, np.nan)
     full = np.array(metrics.view_coverage(views).words) == SEEN
-    full = full if full.any() else np.ones(d, bool)
-    weight = choice_weights(data)
-    return Truth(data, views, with_glare, dgp, rammg, ev, full, weight, own_disc)
+    full = full if full.any() else ~full
+    return Truth(data, views, with_glare, dgp, rammg, ev, full, choice_weights(data), own_disc)
 
 
 def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    """Yield indices of hours in parts of at most 24."""
     for start in range(0, len(rows), 24):  # limits the memory
         yield rows[start : start + 24]
 
 
 def _rammg(maps: Floats32, data: Dataset) -> Floats:
-    """Return RAMMG of maps with the true disc, [n] cd/m2."""
+    """Return RAMMG of maps [n, H, W] of the hours of `data`, with the true sun disc, [n] cd/m2."""
     with_disc = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
     return np.array([metrics.rammg(image) for image in with_disc])
 
@@ -184,6 +182,7 @@ def evaluate(fitted: Fitted, test: Truth) -> Scores:
 
 
 def _log10(maps: Floats32, data: Dataset) -> Floats32:
+    """Return log10 L of maps [n, H, W] of the hours of `data`, with the true sun disc."""
     with_disc = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
     return np.log10(np.maximum(with_disc, np.float32(FLOOR_CDM2)))
 
@@ -196,22 +195,22 @@ def compare(prediction: Prediction, data: Dataset) -> Scores:
     """
     if not np.isfinite(prediction.luminance_cdm2).all():
         raise FloatingPointError("a predicted map has values that are not finite")
-    seen_mask = data.seen
     target = _log10(data.luminance_cdm2, data)
-    error = (_log10(prediction.luminance_cdm2, data) - target)[:, seen_mask].astype(np.float64)
-    t2, e2, w = target[:, seen_mask].astype(np.float64) ** 2, error**2, data.weights[seen_mask]
+    error = (_log10(prediction.luminance_cdm2, data) - target)[:, data.seen].astype(np.float64)
+    truth2, error2 = target[:, data.seen].astype(np.float64) ** 2, error**2  # [n, P]
+    weights = data.weights[data.seen]
     blank = np.full(len(data), np.nan)
     in_band = blank
     if prediction.log10_sd is not None:
         # A 90 % interval of a normal distribution is 1.6449 standard deviations to each side.
-        in_band = (np.abs(error) <= 1.6449 * prediction.log10_sd[:, seen_mask]).mean(axis=1)
+        in_band = (np.abs(error) <= 1.6449 * prediction.log10_sd[:, data.seen]).mean(axis=1)
     added = {name: blank.copy() for name in _ADDED}
     return Scores(
-        mse_weighted=e2 @ w / w.sum(),
-        mse=e2.mean(axis=1),
-        truth2=t2.mean(axis=1),
-        truth2_weighted=t2 @ w / w.sum(),
-        bias_log10=error @ w / w.sum(),
+        mse_weighted=error2 @ weights / weights.sum(),
+        mse=error2.mean(axis=1),
+        truth2=truth2.mean(axis=1),
+        truth2_weighted=truth2 @ weights / weights.sum(),
+        bias_log10=error @ weights / weights.sum(),
         expected_mse=prediction.expected_mse,
         trusted=trusted_hours(prediction),
         in_band=in_band,
@@ -225,7 +224,7 @@ def compare(prediction: Prediction, data: Dataset) -> Scores:
 def _glare_errors(
     scores: Scores, prediction: Prediction, part: Dataset, test: Truth, rows: Array
 ) -> None:
-    """Add to the scores what needs glare, for the maps of `part` for which it is computed.
+    """Add the errors of glare to `scores`, for the maps of `part` for which glare is computed.
 
     prediction: of the n hours of `part`; test: the captured values of all hours; rows: the indices
     of the hours of `part` in it [n].
@@ -242,6 +241,7 @@ def _glare_errors(
     own_disc_dgp = metrics.dgp(*metrics.with_disc(glare, own_disc))
 
     def mean(values: Floats) -> Floats:
+        """Return the mean over the fully seen view directions, [k]; values: [k, 10]."""
         return values[:, test.full].mean(axis=1)
 
     scores.dgp_mse_own_disc[with_glare] = mean((own_disc_dgp - true_dgp) ** 2)
@@ -267,6 +267,7 @@ def _glare_errors(
 
 
 def _mean(values: Floats | float) -> float | None:
+    """Return the mean of the values that were computed (not NaN); None without any."""
     finite = np.asarray(values)[np.isfinite(values)]
     return float(finite.mean()) if finite.size else None
 
@@ -306,7 +307,7 @@ def summary(scores: Scores) -> ScoreFigures:
 
 
 # ----------------------------------------------------------------------------------------------
-# error over a year: held-out days are close to captured ones, so theirs are too small
+# error over a year: held-out days are close to captured days, so that their error is too small
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,7 +315,7 @@ class YearExpectation:
     """The error that a model itself expects over a year, from a sample of hours.
 
     expected_log10_mse: mean over the sample, NaN if the model does not estimate its error;
-    trusted_share: share of trusted hours, 0 to 1; hours: number of sampled hours.
+    trusted_share: share of trusted hours, 0 to 1; hours: number of hours in the sample.
     """
 
     expected_log10_mse: float
@@ -332,10 +333,10 @@ def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
     site, first = data.setup.site, data.light.t_utc[0]
     begin = datetime(first.year, 1, 1, tzinfo=UTC)
     hours = [begin + timedelta(hours=hour) for hour in range(365 * 24)]
-    up = np.asarray(sun.position(hours, site).altitude_deg) > 2.0
-    count = 150  # the mean expected error of so many has a standard error of 10 to 15 %
-    times = [hours[k] for k in np.sort(rng.choice(np.flatnonzero(up), count, replace=False))]
-    high = np.flatnonzero(data.light.sun_altitude_deg > 5.0)
+    daylight = np.flatnonzero(np.asarray(sun.position(hours, site).altitude_deg) > 2.0)
+    count = 150  # their mean expected error has a standard error of 10 to 15 %
+    times = [hours[k] for k in np.sort(rng.choice(daylight, count, replace=False))]
+    high = np.flatnonzero(data.light.sun_altitude_deg > 5.0)  # captures with a reliable ratio
     drawn = rng.choice(high if len(high) else np.arange(len(data)), count)
     of_captures = sun.clearsky([data.light.t_utc[k] for k in drawn], site)
     of_hours = sun.clearsky(times, site)

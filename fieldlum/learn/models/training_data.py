@@ -104,23 +104,23 @@ class Dataset:
         """
         rows = np.arange(len(self))[np.asarray(index)]
         names = ("luminance_cdm2", "patch_cdm2", "disc_lx", "disc_deg", "days", "steadiness")
-        every = {name: getattr(self, name) for name in (*names, "counts", "uncertain")}
-        selected = {name: value[rows] for name, value in every.items() if value is not None}
+        arrays = {name: getattr(self, name) for name in (*names, "counts", "uncertain")}
+        selected = {name: value[rows] for name, value in arrays.items() if value is not None}
         slots = tuple(self.slots[i] for i in rows)
         return replace(self, light=self.light[rows], slots=slots, **selected)
 
     def thin(self, height: int) -> Dataset:
-        """Return the same hours at every f-th pixel in both directions, with `height` rows or more.
+        """Return the same hours at every k-th pixel in both directions, with `height` rows or more.
 
-        f is the largest odd divisor of the rows that allows this, or 1. Pixels are not averaged, so
+        k is the largest odd divisor of the rows that allows this, or 1. Pixels are not averaged, so
         that noise and sharp edges remain.
         """
         rows = self.shape[0]
-        divisors = [f for f in range(1, rows + 1, 2) if rows % f == 0 and rows // f >= height]
+        divisors = [k for k in range(1, rows + 1, 2) if rows % k == 0 and rows // k >= height]
         step = divisors[-1] if divisors else 1
         pick = slice(step // 2, None, step)  # centres of blocks are centres of pixels
-        every = {n: getattr(self, n) for n in ("luminance_cdm2", "patch_cdm2", "seen", "counts")}
-        return replace(self, **{n: v[..., pick, pick] for n, v in every.items() if v is not None})
+        arrays = {n: getattr(self, n) for n in ("luminance_cdm2", "patch_cdm2", "seen", "counts")}
+        return replace(self, **{n: v[..., pick, pick] for n, v in arrays.items() if v is not None})
 
     def patches(self, light: Light) -> Floats32:
         """Return the luminance of sun patches in the hours of `light`, [n, H, W] cd/m2.
@@ -157,7 +157,7 @@ class Dataset:
 
 
 def sun_of_rows(path: Path, rows: Sequence[PairRow], site: Site) -> tuple[Floats, Floats]:
-    """Return the sun's true altitude and its azimuth [deg], [n] each: of the csv, else by SPA.
+    """Return the sun's true altitude and azimuth [deg], [n] each: those of the csv, else by SPA.
 
     Raises InputError, naming the line, for rows that contradict each other or the sun: a repeated
     time or picture, a sun position in the csv more than 2.5 degrees from that computed for `site`,
@@ -170,72 +170,75 @@ def sun_of_rows(path: Path, rows: Sequence[PairRow], site: Site) -> tuple[Floats
         first: dict[object, int] = {}
         for row, value in zip(rows, values, strict=True):
             if (line := first.setdefault(value, row.line)) != row.line:
-                found = f"lines {line} and {row.line} have the same {kind}"
-                raise InputError(path, found, "each bracket once", "remove one, or set its ok = 0")
+                finding = f"lines {line} and {row.line} have the same {kind}"
+                raise InputError(
+                    path, finding, "each bracket once", "remove one, or set its ok = 0"
+                )
     position = sun.position(times, site)
     altitude, azimuth = position.altitude_deg, position.azimuth_deg
-    stated = np.array([(row.sun_altitude_deg, row.sun_azimuth_deg) for row in rows]).T
+    stated = np.array([(row.sun_altitude_deg, row.sun_azimuth_deg) for row in rows]).T  # [2, n]
     cosine = (sun.direction(*stated) * sun.direction(altitude, azimuth)).sum(axis=1)
     # Radiance's own sun differs from SPA by up to 1.1 degrees; half an hour moves the sun by 7.
     # Angles absent from the csv are NaN and compare False.
     if (wrong := cosine < np.cos(np.radians(2.5))).any():
         k = int(np.argmax(wrong))
-        found, at = (
+        in_csv, computed = (
             f"altitude {sun_deg[0][k]:.1f}, azimuth {sun_deg[1][k]:.1f} deg"
             for sun_deg in (stated, (altitude, azimuth))
         )
-        expected = f"{at}, computed from t_utc and the place of {site.name}"
+        expected = f"{computed}, computed from t_utc and the place of {site.name}"
         remedy = "check t_utc, the sign of the site's longitude and the order of the rows"
         remedy += ", or empty both sun columns"
-        raise InputError(path, f"line {rows[k].line}: sun at {found}", expected, remedy)
+        raise InputError(path, f"line {rows[k].line}: sun at {in_csv}", expected, remedy)
     _check_irradiance(path, rows, altitude)
     missing = np.isnan(stated).any(axis=0)
     return tuple(np.where(missing, (altitude, azimuth), stated))
 
 
-_SUNNY_ROWS = 3  # whose median is not chance; chosen
-_CLOSES = 1.25  # three times BSRN's limit of 8 %; a clock that is off is named elsewhere; chosen
+_MIN_SUNNY_ROWS = 3  # a median of fewer rows can be chance; chosen
+# Global irradiance over diffuse plus direct, or its inverse, that exchanged columns exceed: three
+# times BSRN's limit of 8 %. A wrong clock has its own error above. Chosen.
+_MAX_CLOSURE = 1.25
 
 
 def _check_irradiance(path: Path, rows: Sequence[PairRow], altitude_deg: Floats) -> None:
-    """Raise InputError for the first row that is impossible with a sun over `CLEAR_SUN_DEG`.
+    """Raise InputError for irradiance that is impossible with a sun over `CLEAR_SUN_DEG`.
 
-    altitude_deg: of the sun [n]. Limits: BSRN's, and `sun.too_weak`. Exchanged columns show in the
-    median of rows with direct sun: more light than above the atmosphere, or a global irradiance
-    that is not diffuse plus direct.
+    Each row is compared with BSRN's limits and with `sun.too_weak`, and the median of the rows with
+    direct sun shows exchanged columns. altitude_deg: of the sun [n].
     """
     top = sun.extraterrestrial_wm2([row.t_utc for row in rows])
     dni, dhi = np.array([(row.dni_wm2, row.dhi_wm2) for row in rows]).T
-    limits = sun.bsrn_limits(altitude_deg, top)
-    weak = sun.too_weak(dhi + sun.horizontal_beam(dni, altitude_deg), altitude_deg, top)
+    beam = sun.horizontal_beam(dni, altitude_deg)
+    limits, high = sun.bsrn_limits(altitude_deg, top), altitude_deg > sun.CLEAR_SUN_DEG
+    weak = sun.too_weak(dhi + beam, altitude_deg, top)
     for wrong, finding, remedy in (
         (dhi > limits.dhi_wm2[1], "more diffuse light than any sky gives", "global irradiance"),
         (dni > limits.dni_wm2[1], "more direct light than above the atmosphere", "other units"),
         (weak, "less light than under the darkest clouds", "kW/m2"),
     ):
-        if (wrong := wrong & (altitude_deg > sun.CLEAR_SUN_DEG)).any():
-            k = int(np.argmax(wrong))
+        if (wrong & high).any():
+            k = int(np.argmax(wrong & high))
             finding = (
                 f"line {rows[k].line} has {finding}: DNI {dni[k]:g}, "
                 f"DHI {dhi[k]:g} W/m2 with the sun at {altitude_deg[k]:.0f} deg"
             )
             remedy = f"check whether the column contains {remedy}; otherwise set ok = 0"
             raise InputError(path, finding, "possible irradiance in W/m2", remedy)
-    beam = sun.horizontal_beam(dni, altitude_deg)
-    sunny = (beam > 0.2 * (dhi + beam)) & (altitude_deg > sun.CLEAR_SUN_DEG)
-    if sunny.sum() < _SUNNY_ROWS:
+    sunny = (beam > 0.2 * (dhi + beam)) & high
+    if sunny.sum() < _MIN_SUNNY_ROWS:
         return
-    above = float(np.median(((dhi + beam) / sun.horizontal_beam(top, altitude_deg))[sunny]))
+    of_top = float(np.median(((dhi + beam) / sun.horizontal_beam(top, altitude_deg))[sunny]))
     closure = sun.closure_ratio([row.ghi_wm2 for row in rows], dhi, dni, altitude_deg)[sunny]
     closure = float(np.nanmedian(closure)) if np.isfinite(closure).any() else 1.0
-    rest = f"in the median of {counted(int(sunny.sum()), 'capture')} with direct sun"
+    median = f"in the median of {counted(int(sunny.sum()), 'capture')} with direct sun"
     remedy = "check which columns contain global, direct normal and diffuse irradiance"
-    if above > 1.0:
-        found = f"diffuse plus direct are {above:.2f} times the light above the atmosphere {rest}"
-        raise InputError(path, found, "0.2 to 0.9 times", remedy)
-    if not 1.0 / _CLOSES < closure < _CLOSES:
-        found = f"global is {closure:.2f} times diffuse plus direct on the horizontal {rest}"
-        raise InputError(path, found, "1, within 8 % (BSRN)", remedy)
+    if of_top > 1.0:
+        finding = f"diffuse plus direct are {of_top:.2f} times the light above the atmosphere"
+        raise InputError(path, f"{finding} {median}", "0.2 to 0.9 times", remedy)
+    if not 1.0 / _MAX_CLOSURE < closure < _MAX_CLOSURE:
+        finding = f"global is {closure:.2f} times diffuse plus direct on the horizontal"
+        raise InputError(path, f"{finding} {median}", "1, within 8 % (BSRN)", remedy)
 
 
 def _usable_rows(pairs: PairsFile) -> list[PairRow]:
@@ -254,9 +257,13 @@ def _usable_rows(pairs: PairsFile) -> list[PairRow]:
 
 
 def _find_setup(path: Path, site: Path | None) -> SiteFile:
-    """Return the site: that of --site, else of the session, else of site.toml next to the csv."""
+    """Return the site of the captures: `site`, else the session's, else site.toml next to the csv.
+
+    path: of the csv. Raises InputError if there is no site.
+    """
     if site is not None:
         return load_site(site)
+    # The folder "truth" of a simulated session has the csv of the true maps.
     of_truth = (path.parent.parent,) if path.parent.name == "truth" else ()
     for folder in (path.parent, *of_truth):
         if (folder / "session.toml").is_file():
@@ -289,9 +296,9 @@ def load_pairs(where: Path | Session, site: Path | None = None) -> Dataset:
         raise InputError(path, "no such file", "a pairs.csv", remedy)
     setup = _find_setup(path, site)
     pairs = PairsFile.read(path)
-    rows, refused, notes = _usable_rows(pairs), len(pairs.refused), list(pairs.warnings)
-    if refused:
-        notes.append(f"left out: {counted(refused, 'row')} with ok = 0")
+    rows, notes = _usable_rows(pairs), list(pairs.warnings)
+    if pairs.refused:
+        notes.append(f"left out: {counted(len(pairs.refused), 'row')} with ok = 0")
     dark = [row for row in rows if row.dni_wm2 + row.dhi_wm2 <= 0.0]
     if dark:
         named = ", ".join(Path(row.panorama).stem for row in dark)
@@ -306,9 +313,10 @@ def load_pairs(where: Path | Session, site: Path | None = None) -> Dataset:
 
 
 def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]) -> Dataset:
-    """Return the captures of usable rows: pictures aligned, the disc taken out, gaps filled.
+    """Read the captures of usable rows, align the pictures, remove the sun disc and fill gaps.
 
-    Captures whose camera turned too far to be aligned are left out; what was done goes into notes.
+    Captures whose camera turned too far to be aligned are left out. path: of the csv; notes: those
+    on its rows, to which notes on the pictures are added. Raises InputError, as `load_pairs`.
     """
     altitude, azimuth = sun_of_rows(path, rows, setup.site)
     light = Light(
@@ -347,19 +355,20 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
 
 
 def _notes_on_axes(path: Path, data: Dataset) -> list[str]:
-    """Return a warning if discs show that the pictures' axes are not as stated.
+    """Return a warning if the sun discs show that the pictures' axes are probably not as stated.
 
-    Raises InputError if it is sure. data: with the discs at the sun's place taken out.
+    The list is empty if they are. Raises InputError if they certainly are not. path: of the csv;
+    data: its captures, without the discs at the sun's place.
     """
     light, suns, shown = data.light, [], []
     for k in np.flatnonzero(light.direct_lx > BEAM_LX):
-        at = (float(light.apparent_altitude_deg[k]), float(light.sun_azimuth_deg[k]))
+        position = (float(light.apparent_altitude_deg[k]), float(light.sun_azimuth_deg[k]))
         beam_lx = float(light.direct_lx[k])
         place = sun_elsewhere(data.luminance_cdm2[k], data.heading_deg, beam_lx)
         if place is None and data.disc_lx[k] > DISC_SHARE * beam_lx:
-            place = at
+            place = position
         if place is not None:
-            suns.append(at)
+            suns.append(position)
             shown.append(place)
     wrong = wrong_axes(suns, shown, data.heading_deg, data.shape[0])
     if wrong is None:
@@ -371,7 +380,7 @@ def _notes_on_axes(path: Path, data: Dataset) -> list[str]:
 
 
 def _slots(rows: Sequence[PairRow]) -> tuple[str, ...]:
-    """Return the ids of captures, as plan and marks state them; else the UTC of each row."""
+    """Return the slot id of each row: the name of its picture if all are ids, else from its UTC."""
     names = tuple(Path(row.panorama).stem for row in rows)
     if all(_SLOT_ID.fullmatch(name) for name in names) and len(set(names)) == len(names):
         return names
@@ -379,10 +388,10 @@ def _slots(rows: Sequence[PairRow]) -> tuple[str, ...]:
 
 
 def states_of(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
-    """Return the room's state in each row, from the csv's column and the marks in the journal.
+    """Return the room's state in each row, such as "lamp=on"; None if all rows have no state.
 
-    Return None if the room is in its usual state in all rows. Raises InputError for an unknown
-    word.
+    States are from the csv's column `state` and from the marks in the session's journal. path: of
+    the csv. Raises InputError for an unknown word.
     """
     marked = marks(Session(path.parent))
     states = []
@@ -393,9 +402,9 @@ def states_of(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
 
 
 def _refraction(path: Path, rows: list[PairRow]) -> bool:
-    """Return whether the pictures show the sun as raised by refraction.
+    """Return whether the pictures show the sun as raised by the atmosphere's refraction.
 
-    Raises InputError for a csv in which only some pictures do.
+    Raises InputError if only some rows state so. path: of the csv.
     """
     other = [row.line for row in rows if row.refraction != rows[0].refraction]
     if other:
@@ -418,11 +427,11 @@ NO_TRAINING = Flag.CLIPPED_HIGH | Flag.MOTION | Flag.FILLED
 def take_disc_out(
     data: Dataset, k: int, at: tuple[float, float], shown: tuple[float, float]
 ) -> None:
-    """Remove the sun's disc from map k and patch k; store its illuminance and its place.
+    """Remove the sun's disc from map k and sun patch k of `data`, in place.
 
-    at: altitude and azimuth of the sun [deg], where the patch shows it; shown: altitude and azimuth
-    at which the picture of a turned camera shows it [deg]. With sun patches, the illuminance is
-    that in the patch, which has no sky around the disc.
+    `disc_lx` and `disc_deg` of hour k are set too; with sun patches, from the disc in the patch,
+    which has no sky around it. at: altitude and azimuth of the sun [deg], where the patch shows it;
+    shown: altitude and azimuth at which the map, of a turned camera, shows it [deg].
     """
     assert data.disc_deg is not None
     dni_wm2 = float(data.light.dni_wm2[k])
@@ -433,8 +442,8 @@ def take_disc_out(
         data.disc_lx[k] = 0.0 if disc is None else disc.normal_lx
         if disc is not None:
             pictures[k] = without_disc(pictures[k], disc)
-            turn = float(signed_angle_deg(disc.azimuth_deg - place[1]))
-            data.disc_deg[k] = at[0] + disc.altitude_deg - place[0], at[1] + turn
+            azimuth_off_deg = float(signed_angle_deg(disc.azimuth_deg - place[1]))
+            data.disc_deg[k] = at[0] + disc.altitude_deg - place[0], at[1] + azimuth_off_deg
 
 
 def read_pictures(
@@ -442,20 +451,21 @@ def read_pictures(
 ) -> tuple[Dataset, Mask]:
     """Read the maps and sun patches of the rows of a pairs.csv; return them with a mask [n, H, W].
 
-    The sun's disc remains in the maps, and missing values, where the mask is False; later steps
-    change the arrays in place. path: of the pairs.csv, to whose folder the names of pictures are
-    relative. disc_lx is from the pictures' headers, 0 where they have none. Raises InputError if
-    sizes or headings differ from those of the first picture, or if only some rows have a sun patch.
+    The mask is False at missing values of the maps, which are still in them, as are the sun's
+    discs; later steps change the arrays in place. path: of the pairs.csv, to whose folder the names
+    of pictures are relative. disc_lx is from the pictures' headers, 0 where they have none. Raises
+    InputError if sizes or headings differ from those of the first picture, or if only some rows
+    have a sun patch.
     """
     pictures = [path.parent / row.panorama for row in rows]
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
     first = read_panorama(pictures[0])
-    shape, heading = first.luminance_cdm2.shape, _heading(first, pictures[0], setup)
+    shape, heading = first.luminance_cdm2.shape, _heading_deg(first, pictures[0], setup)
     size_and_heading = (shape, heading)  # of all pictures
     with_patch = sum(bool(row.sunpatch) for row in rows)
     if 0 < with_patch < len(rows):
-        bare = next(row.line for row in rows if not row.sunpatch)
-        finding = f"line {bare}: the cell of column sunpatch is empty, but not in other rows"
+        line = next(row.line for row in rows if not row.sunpatch)
+        finding = f"line {line}: the cell of column sunpatch is empty, but not in other rows"
         remedy = "fill or empty this column in all rows"
         raise InputError(path, finding, "a sunpatch in all rows or in none", remedy)
     maps = np.empty((len(rows), *shape), np.float32)
@@ -504,8 +514,11 @@ def read_pictures(
     return data, masks
 
 
-def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
-    """Return the heading of the picture (.exr, or a .hdr with a heading line), else the site's."""
+def _heading_deg(panorama: Panorama, path: Path, setup: SiteFile) -> float:
+    """Return the heading that the picture states (.exr, .hdr with a heading line), else the site's.
+
+    path: of the picture; its heading is the azimuth of the centre column.
+    """
     if path.suffix.lower() == ".exr":
         return panorama.heading_deg
     with open_to_read(path) as file:
@@ -516,29 +529,29 @@ def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
 def _checked(
     panorama: Panorama, path: Path, first: tuple[tuple[int, ...], float], setup: SiteFile
 ) -> Panorama:
-    """Return a picture if it has size and heading of the first row's, else raise InputError.
+    """Return a picture if its size and heading are those of the first row, else raise InputError.
 
-    first: the first picture's size (rows, columns) and heading [deg].
+    path: of the picture; first: size (rows, columns) and heading [deg] of the first row's picture.
     """
-    heading = _heading(panorama, path, setup)
+    heading = _heading_deg(panorama, path, setup)
     size, (first_size, first_heading) = panorama.luminance_cdm2.shape, first
     if size != first_size:
-        found, wanted = (f"{columns} x {rows} pixels" for rows, columns in (size, first_size))
+        finding, expected = (f"{columns} x {rows} pixels" for rows, columns in (size, first_size))
     elif abs(signed_angle_deg(heading - first_heading)) > 0.01:
-        found, wanted = f"a heading of {heading:g} deg", f"{first_heading:g} deg"
+        finding, expected = f"a heading of {heading:g} deg", f"{first_heading:g} deg"
     else:
         return panorama
     remedy = "merge all brackets at one size and heading, then run fieldlum pair again"
-    raise InputError(path, found, f"{wanted}, as the panorama of the first row", remedy)
+    raise InputError(path, finding, f"{expected}, as the panorama of the first row", remedy)
 
 
 def fill_gaps(maps: Floats32, has_value: Mask) -> tuple[Mask, int]:
-    """Fill missing values in `maps`, in place; return a mask of used pixels and a count.
+    """Fill missing values in `maps`, in place; return the used pixels and how many were filled.
 
     maps: [n, H, W]; has_value: mask [n, H, W], False where a value is missing. A missing value gets
     the pixel's median over the maps. A pixel that is missing in a fifth of the maps or more is not
-    used: it is False in the mask [H, W] and 0 in all maps. Negative values become 0. count: number
-    of filled values. Raises NotEnoughDataError if no pixel is used.
+    used: it is False in the returned mask [H, W] and 0 in all maps. Negative values become 0.
+    Raises NotEnoughDataError if no pixel is used.
     """
     seen_mask = has_value.mean(axis=0) > 0.8
     if not seen_mask.any():
@@ -555,10 +568,10 @@ def fill_gaps(maps: Floats32, has_value: Mask) -> tuple[Mask, int]:
 
 
 def pixel_counts(panorama: Panorama) -> NDArray[np.float16]:
-    """Return the weight of each pixel in training, 0 to 1, [H, W].
+    """Return the weight of each pixel of a panorama in training, 0 to 1, [H, W].
 
-    It is 0 where `flags` mark a clipped, moving or filled pixel, else by the relative uncertainty
-    (1 without uncertainties).
+    It is 0 where `flags` mark a clipped, moving or filled pixel. Elsewhere it is 1 for a value
+    without uncertainty, and decreases with the relative uncertainty (`weight_of_variance`).
     """
     counts = np.ones(panorama.luminance_cdm2.shape)
     if panorama.u_cdm2 is not None:
@@ -571,13 +584,13 @@ def pixel_counts(panorama: Panorama) -> NDArray[np.float16]:
 
 
 def joined_counts(counts: NDArray[np.float16], has_value: Mask) -> NDArray[np.float16] | None:
-    """Return the weights of the pixels of all captures [n, H, W]; None if all weights are 1.
+    """Return the weights of the pixels in all captures, [n, H, W]; None if all weights are 1.
 
-    counts: result of `pixel_counts` for each capture [n, H, W], which changes; has_value: mask
-    [n, H, W], False where a value is missing, whose weight is 0. The weights of each pixel are
-    divided by their maximum: an uncertainty that is common to all captures (the camera's scale)
-    does not make one capture better than another. A pixel without weight in most captures gets at
-    least 0.1.
+    counts: result of `pixel_counts` for each capture [n, H, W], which is changed in place;
+    has_value: mask [n, H, W], False where a value is missing, whose weight is 0. The weights of
+    each pixel are divided by their maximum: an uncertainty that is common to all captures (the
+    camera's scale) does not make one capture better than another. A pixel without weight in most
+    captures gets at least 0.1.
     """
     counts[~has_value] = 0.0
     largest = counts.max(axis=0)
@@ -594,8 +607,8 @@ def joined_counts(counts: NDArray[np.float16], has_value: Mask) -> NDArray[np.fl
 def with_sky_view(data: Dataset, file: Path | None = None) -> Dataset:
     """Return the captures with a sky view: of `file`, else their own, else estimated from the maps.
 
-    file: a sky_view.exr. Captures with blinds or snow are not used for it, unless all have the
-    same. Raises InputError for another file, NotEnoughDataError without a capture by daylight.
+    file: a sky_view.exr. Captures with blinds or snow do not count in the estimate, unless all have
+    the same. Raises InputError for another file, NotEnoughDataError without a capture by daylight.
     """
     if file is not None:
         return replace(data, sky_view=SkyView.read(file))
@@ -604,6 +617,7 @@ def with_sky_view(data: Dataset, file: Path | None = None) -> Dataset:
     light = data.light
 
     def read(k: int) -> SkyPicture:
+        """Return the rows of map k that can show the sky."""
         shown = np.where(data.seen, data.luminance_cdm2[k], np.nan)
         return cut_panorama(Panorama(shown, data.heading_deg))
 
@@ -615,7 +629,7 @@ def with_sky_view(data: Dataset, file: Path | None = None) -> Dataset:
 
 
 def _discs(data: Dataset) -> MeasuredDiscs:
-    """Return the discs' places in the maps, which are known to a pixel."""
+    """Return the places of the sun discs that were measured in the maps, with their uncertainty."""
     if data.disc_deg is None or not (rows := np.flatnonzero(np.isfinite(data.disc_deg[:, 0]))).size:
         return NO_DISCS
     altitude, azimuth = data.disc_deg[rows].T

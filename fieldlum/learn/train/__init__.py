@@ -51,12 +51,12 @@ MODEL_FILES = ("config.json", "weights.npz")
 
 
 def day_folds(data: Dataset) -> list[Mask]:
-    """Distribute the days over at most five tests; return a mask [n] of the captures of each.
+    """Distribute the days over at most five tests; return a mask [n] of each test's captures.
 
-    Each test holds its days out and trains with all others. If there is only one day, its hours are
-    distributed instead; a single hour gives no test. Neighbouring days are held out in different
-    tests, so that these are about days between captured ones, not seasons without captures. Five:
-    Hastie et al., The Elements of Statistical Learning, 7.10.
+    A test holds out the captures of its mask and trains with all others. If there is only one day,
+    its hours are distributed instead; a single hour gives no test. Neighbouring days are held out
+    in different tests, so that these are about days between captured ones, not seasons without
+    captures. Five: Hastie et al., The Elements of Statistical Learning, 7.10.
     """
     days = len(np.unique(data.days))
     groups, count = (data.days, days) if days > 1 else (np.arange(len(data)), len(data))
@@ -81,7 +81,7 @@ class Trial:
 
 
 class Spent(NamedTuple):
-    """The time a task took: by the wall clock, and processor time of all threads [s].
+    """The time of a task: by the wall clock, and processor time of all threads [s].
 
     On a busy computer only `cpu_s` is meaningful.
     """
@@ -102,7 +102,7 @@ def fit_timed(
     """Fit the model `name` of `MODELS` to `data`; return the model and the time of the fit.
 
     patch, seed: as for `fit_and_score`. budget_s: time limit [s], None for no limit; checkpoint:
-    file to continue from, None for none. Only slow models use these two.
+    file that stores an interrupted fit, None for none. Only slow models use these two.
     """
     wall, cpu = monotonic(), process_time()
     slow = {"budget_s": budget_s, "checkpoint": checkpoint} if MODELS[name].slow else {}
@@ -119,17 +119,16 @@ def evaluate_folds(
     seed: int,
     budget_s: float | None = None,
 ) -> Trial:
-    """Fit without the captures of each of `day_folds`, compare with these, and join the scores.
+    """Test a model on held-out days: fit it without the captures of each fold, then predict these.
 
-    name: of the model; folds: masks [n] of held-out captures; patch, seed: as for `fit_and_score`;
-    budget_s: for all folds of a slow model together [s], None for no limit.
+    name: of the model; folds: masks [n] of held-out captures, by `day_folds`; patch, seed: as for
+    `fit_and_score`; budget_s: for all folds of a slow model together [s], None for no limit.
     """
     parts: list[Scores] = []
     times: list[Spent] = []
-    share = budget_s and budget_s / len(folds)
-    options: dict[str, Any] = {"patch": patch, "seed": seed}
+    fold_s = budget_s and budget_s / len(folds)
     for held in folds:
-        fitted, spent = fit_timed(name, data.take(~held), budget_s=share, **options)
+        fitted, spent = fit_timed(name, data.take(~held), patch=patch, seed=seed, budget_s=fold_s)
         parts.append(evaluate(fitted, truth(data.take(held))))
         times.append(spent)
     wall_s, cpu_s = np.mean(times, axis=0).tolist()
@@ -177,10 +176,7 @@ def is_baseline(trial: Trial) -> bool:
 
 
 def _reason(trial: Trial, others: Sequence[Trial]) -> str:
-    """Return the figures of a trial next to those of the others, and what decided.
-
-    trial: the chosen one.
-    """
+    """Return why a trial was chosen: its error next to those of the others, and what decided."""
     own = trial.scores.errors
     hours = f"{counted(own.judged, 'held-out hour')} of {counted(len(np.unique(own.day)), 'day')}"
     if not others:
@@ -188,8 +184,8 @@ def _reason(trial: Trial, others: Sequence[Trial]) -> str:
     choice = choose([own, *(other.scores.errors for other in others)])
     clear = choice.by if choice.best == 0 else None
     by = clear or next(name for name in CRITERIA if np.isfinite(own.figure(name)))
-    listed = ", ".join(f"{t.name} {t.scores.errors.figure(by):.2g}" for t in others)
-    text = f"error of {CRITERIA[by]} over {hours}: {own.figure(by):.2g} ({listed})"
+    figures = ", ".join(f"{t.name} {t.scores.errors.figure(by):.2g}" for t in others)
+    text = f"error of {CRITERIA[by]} over {hours}: {own.figure(by):.2g} ({figures})"
     return text if clear else f"{text}; no model is better by over a standard error"
 
 
@@ -223,9 +219,8 @@ class Result:
 
         seed: of the training, which each row repeats.
         """
-        own = ("name", "fit_s", "fit_cpu_s", "n_train", "folds")
-        seeds = {"seed": seed}
-        return [{k: getattr(t, k) for k in own} | summary(t.scores) | seeds for t in self.trials]
+        names, seeds = ("name", "fit_s", "fit_cpu_s", "n_train", "folds"), {"seed": seed}
+        return [{k: getattr(t, k) for k in names} | summary(t.scores) | seeds for t in self.trials]
 
 
 def patch_mode(data: Dataset, patch: Patch) -> Patch:
@@ -254,20 +249,19 @@ def fit_and_score(
     captures = len(data)
     data, mirrors = split_images(with_sky_view(data))
     data, changed = without_changes(data, with_patch=patch != "none")
-    setting = misplacement_of(data, patch)
+    misplacement = misplacement_of(data, patch)
     if not day_folds(data):
         raise NotEnoughDataError(
             f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
             "and to test; capture more hours"
         )
-    options: dict[str, Any] = {"patch": patch, "seed": seed}
-    options["budget_s"] = 0.5 * budget_s
+    options: dict[str, Any] = {"patch": patch, "seed": seed, "budget_s": 0.5 * budget_s}
     trials, left_out = _trials(data, model, options)
     choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
     fitted, spent = fit_timed(choice.name, data, checkpoint=checkpoint, **options)
     notes = [*notes_of(data, patch, model, trials), *left_out, *model_notes(fitted, data, patch)]
     notes += [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
-    notes += [*changed, *held_out_warnings(fitted, data), *warnings_of(setting, data.setup)]
+    notes += [*changed, *held_out_warnings(fitted, data), *warnings_of(misplacement, data.setup)]
     return Result(
         fitted=fitted,
         trials=tuple(trials),
@@ -282,9 +276,10 @@ def fit_and_score(
 
 
 def _trials(data: Dataset, model: str, options: dict[str, Any]) -> tuple[list[Trial], list[str]]:
-    """Test the models on held-out days; return the trials, and notes on those that cannot be.
+    """Test the models on held-out days; return the trials, and notes on models without a trial.
 
-    options: of `evaluate_folds`.
+    model: as for `fit_and_score`; options: patch, seed and budget_s of `evaluate_folds`. Raises
+    NotEnoughDataError if there are too few hours for `model`.
     """
     names = [name for name, kind in MODELS.items() if kind.baseline or model in (name, "auto")]
     trials, left_out, folds = [], [], day_folds(data)
@@ -302,10 +297,11 @@ def _trials(data: Dataset, model: str, options: dict[str, Any]) -> tuple[list[Tr
 
 
 def year_of(fitted: Fitted, data: Dataset, patch: Patch, seed: int) -> YearExpectation | None:
-    """Return the error that the model itself expects over a year, for skies drawn from captures.
+    """Return the error that the model itself expects over a year, under skies like the captures'.
 
-    seed: of the draw of 150 hours and their skies. Return None if the model does not estimate its
-    error, or if patches are used but SITE.toml has no [room] to compute those of other hours.
+    data: the captures; seed: of the draw of hours and their skies. The result is None if the model
+    does not estimate its error, or if patches are used but SITE.toml has no [room] to compute those
+    of other hours.
     """
     if patch == "none":
         data = replace(data, patch_cdm2=None)
@@ -351,12 +347,11 @@ def run(
     result = fit_and_score(
         data, model, patch=patch, budget_s=60.0 * budget_min, seed=seed, checkpoint=checkpoint
     )
-    fitted, choice = result.fitted, result.choice
     answer = {
         "models": result.table(seed),
-        "chosen": choice.name,
-        "reason": choice.reason,
-        "parameters": fitted.parameters,
+        "chosen": result.choice.name,
+        "reason": result.choice.reason,
+        "parameters": result.fitted.parameters,
         "final_fit_s": result.fit_s,
         "year": None if result.year is None else asdict(result.year),
         "notes": result.notes,
@@ -365,24 +360,37 @@ def run(
     text = json.dumps(answer, default=lambda value: value.tolist())
     # JSON has no NaN
     answer = json.loads(text, parse_constant=lambda _: None)
-    if int(os.environ.get("RANK", "0")) == 0:  # of the processes of torchrun
-        # this file is written last: it shows that the model is complete
+    if int(os.environ.get("RANK", "0")) == 0:  # only the first process of torchrun writes
+        # The scores are written last: the file shows that the model is complete.
         (out / ScoresFile.NAME).unlink(missing_ok=True)
-        warned = [note for note in result.notes if note.startswith("WARNING")]
-        more = {"patch": mode, "seed": seed, "chosen_because": choice.reason, "warnings": warned}
-        more["untrusted"] = result.untrusted
-        models.save(out, fitted, result.data, mirrors=result.mirrors, **more)
-        (out / "held_out.npz").unlink(missing_ok=True)
-        chosen = (trial for trial in result.trials if trial.name == choice.name)
-        if (trial := next(chosen, None)) and trial.scores.maps is not None:
-            trial.scores.maps.write(out)
+        _write_model(out, result, mode, seed)
         answer["model_sha256"] = _model_sha256(out)
         ScoresFile.from_table({**answer}, out / ScoresFile.NAME).write(out)
         checkpoint.unlink(missing_ok=True)
     return {**answer, "kept": False}
 
 
+def _write_model(out: Path, result: Result, patch: Patch, seed: int) -> None:
+    """Write the trained model and, if computed, its maps of held-out hours to the folder `out`.
+
+    patch, seed: with which it was trained.
+    """
+    about = {
+        "patch": patch,
+        "seed": seed,
+        "chosen_because": result.choice.reason,
+        "warnings": [note for note in result.notes if note.startswith("WARNING")],
+        "untrusted": result.untrusted,
+    }
+    models.save(out, result.fitted, result.data, mirrors=result.mirrors, **about)
+    (out / "held_out.npz").unlink(missing_ok=True)
+    for trial in result.trials:
+        if trial.name == result.choice.name and trial.scores.maps is not None:
+            trial.scores.maps.write(out)
+
+
 def _model_sha256(folder: Path) -> str:
+    """Return one digest of the files of the model in a folder."""
     return digest([sha256(folder / name) for name in MODEL_FILES])
 
 
@@ -397,11 +405,12 @@ def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
     the stated room was not used. data: the captures of the fit. patch: with "none" no room is
     needed.
     """
+    # A `MeanTransport` has the captures in its model `fitted`; other models have none.
     notes, captured = [], getattr(getattr(fitted, "fitted", fitted), "captured", None)
     if captured is not None:
-        seen = np.log(np.maximum(captured.sky, 1e-9))
+        in_windows = np.log(np.maximum(captured.sky, 1e-9))  # [n, 2305]
         expected = np.log(np.maximum(light_features(data.light).sky, 1e-9))
-        sd = float((seen - expected).std(axis=0).max())
+        sd = float((in_windows - expected).std(axis=0).max())
         if sd > 0.0:
             notes.append(
                 f"the sky in the windows was up to {math.expm1(sd):.0%} (one standard deviation) "
@@ -423,14 +432,15 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
     """Return the notes of `data`, then notes that a reader of the scores needs.
 
     They are about captures of one day only, missing sun patches, and a model that is worse than a
-    baseline. model: name of the requested model ("auto" gives no note about the baselines).
+    baseline. patch: "none" if sun patches are not used; model: name of the requested model ("auto"
+    gives no note about the baselines); trials: tests of this model and of the baselines.
     """
     notes = list(data.notes)
     if len(np.unique(data.days)) == 1:
         notes.append(
             "all hours are from one day, so that the scores are too good: capture more days"
         )
-    # a scene without patches was chosen on purpose and has its own note
+    # A scene without patches was chosen on purpose and has its own note.
     if patch == "none" and data.patch_cdm2 is None and data.scene is None:
         notes.append("no sun patches in the data: add a [room] to SITE.toml and run fieldlum pair")
     own = next((trial for trial in trials if trial.name == model), None)
@@ -451,7 +461,8 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     """Return warnings about large errors of the model on captures with their day held out.
 
     One warning names days that are much worse than the median day, one is about large errors on
-    all days. The list is empty if there are none, and for a model without held-out errors.
+    all days, one about a large share of captures with large errors. The list is empty if there are
+    none, and for a model without held-out errors.
     """
     errors, weight, day = _judged_errors(fitted, data)
     if not len(errors):
@@ -497,9 +508,10 @@ def is_untrusted(fitted: Fitted, data: Dataset) -> bool:
 
 
 def _judged_errors(fitted: Fitted, data: Dataset) -> tuple[Floats, Floats, NDArray]:
-    """Return held-out log10 MSE, weight and day of the captures `data` with weight, [k] each.
+    """Return held-out log10 MSE, weight and date of the training captures with weight, [k] each.
 
-    data: what `fitted` was trained on. k is 0 for a model without held-out errors.
+    data: the captures with which `fitted` was trained; weight: by `choice_weights`. k is 0 for a
+    model without held-out errors.
     """
     if fitted.held_out_mse is None:
         return np.empty(0), np.empty(0), data.days[:0]

@@ -66,17 +66,17 @@ NOISES = (3e-3, 1e-2, 3e-2)
 # of other renderers); a scene that is worse than the stated room loses half of its excess.
 MAX_SHARE = 0.75
 # Largest expected error without the stated room, over that with it, at which the room is not used:
-# between the ratios of `_chosen_inputs`. A larger limit drops rooms that help.
+# between the ratios of `_choose_with_or_without_room`. A larger limit drops rooms that help.
 MAX_ROOMLESS_RATIO = 0.5
 
 
 class SurfaceMaps(NamedTuple):
     """Predicted luminance of n hours at the P pixels the lens saw, and inputs of its uncertainty.
 
-    luminance: without the sun's disc [n, P] cd/m2; patch: direct sun on surfaces, which is included
-    in it before the second stage [n, P] cd/m2, None without sun patches; unit: luminance of a
-    surface of usual brightness: total light times the pixel's scale [n, P] cd/m2; features: of the
-    hours; cross: covariance to the captures [n, captures].
+    luminance: without the sun's disc [n, P] cd/m2; patch: the part of `luminance` that is direct
+    sun on surfaces [n, P] cd/m2, None without sun patches; unit: luminance of a surface of usual
+    brightness: total light times the pixel's scale [n, P] cd/m2; features: of the hours; cross:
+    kernel between the hours and the captured hours [n, captures].
     """
 
     luminance: Floats32
@@ -133,21 +133,23 @@ class Transport:
         used. Only the result's memory grows with n. Raises InputError for required patches that
         are missing, or patches of another shape.
         """
-        patch = self._checked(light, patch_cdm2)
+        patch = self._required_patch(light, patch_cdm2)
         count = len(light)
         maps = np.zeros((count, *self.seen.shape), np.float32)
         sd = np.zeros_like(maps)
         expected, trusted = np.empty(count), np.empty(count, bool)
         for start in range(0, count, 64):  # some 100 MB at 460 x 230
             rows = slice(start, start + 64)
-            shown = None if patch is None else patch[rows]
-            part = self.maps(light[rows], shown)
+            part = self.maps(light[rows], None if patch is None else patch[rows])
             maps[rows][:, self.seen] = part.luminance
-            sd[rows][:, self.seen], expected[rows], trusted[rows] = self._belief(part)
+            sd[rows][:, self.seen], expected[rows], trusted[rows] = self._uncertainty_of(part)
         return Prediction(luminance_cdm2=maps, log10_sd=sd, expected_mse=expected, trusted=trusted)
 
-    def _checked(self, light: Light, patch: Floats32 | None) -> Floats32 | None:
-        """Return the patches, None if they are not used; raise InputError as `predict` does."""
+    def _required_patch(self, light: Light, patch: Floats32 | None) -> Floats32 | None:
+        """Return the sun patches `patch`, or None if the model does not use them.
+
+        Raises InputError, as `predict`, for patches that are missing or of another shape.
+        """
         if self.patch_scale is None:
             return None
         needed = (len(light), *self.seen.shape)
@@ -158,56 +160,56 @@ class Transport:
         return patch
 
     def maps(self, light: Light, patch: Floats32 | None) -> SurfaceMaps:
-        """Predict n hours at the seen pixels, without the sun's disc, term by term as above.
+        """Predict the luminance of n hours at the seen pixels, without the sun's disc.
 
-        patch: luminance of direct sun on surfaces [n, H, W] cd/m2; None adds no direct sun. Last,
-        the second stage corrects hours with a sun from nearly the direction of a captured one.
+        The terms are those of the formula at the top of this module. patch: luminance of direct sun
+        on surfaces [n, H, W] cd/m2; None adds no direct sun. Last, the second stage corrects hours
+        with a sun from nearly the direction of a captured one.
         """
-        pixels, features = self.pixels, self.states.features(light)
-        sunlight = None
+        pixels, features, computed = self.pixels, self.states.features(light), None
         if self.physics is not None:
             sunlight = self.physics.sunlight(light)
             features = replace(features, bounced=self.physics.features(light, sunlight))
+            computed = self.physics.luminance(light, sunlight, self.seen)
         elif self.patch_light is not None and patch is not None:
             window = self.open_sky.mask(self.seen)
             features = replace(features, bounced=self.patch_light.features(patch, light, window))
         cross = self.kernel(features, self.captured)  # [n, captures]
         unit = light.total_lx.astype(np.float32)[:, None] * pixels.scale
         surface = (cross @ self.projector).astype(np.float32) @ pixels.b.T  # [n, P]
-        if self.physics is not None and sunlight is not None:
-            computed = self.physics.luminance(light, sunlight, self.seen)
+        if computed is not None:
             surface += computed * pixels.computed_gain / unit
         luminance = np.maximum(surface, MIN_SHARE) * unit  # [n, P] cd/m2
         direct = None
         if patch is not None and self.patch_scale is not None:
             direct = patch[:, self.seen] * (np.float32(self.patch_scale) * pixels.patch_gain)
             luminance += direct
-        window = self.open_sky.index  # [k]
+        window = self.open_sky.index  # [k] of the P pixels
         luminance[:, window] += pixels.sky_gain[window] * self.open_sky.luminance(light)
         second = second_covariance(features, self.captured).astype(np.float32)
         luminance *= np.exp(second @ pixels.second)
         return SurfaceMaps(luminance, direct, unit, features, cross)
 
-    def _belief(self, maps: SurfaceMaps) -> tuple[Floats, Array, Mask]:
-        """Return the sd of log10 L [n, P], the expected log10 MSE [n], and trusted [n].
+    def _uncertainty_of(self, maps: SurfaceMaps) -> tuple[Floats, Array, Mask]:
+        """Return the standard deviation of log10 L, the expected log10 MSE and the trusted hours.
 
-        maps: of n hours at P pixels.
+        Their shapes are [n, P], [n] and [n] for `maps` of n hours at P pixels.
         """
-        unsure, features = self.uncertainty, maps.features
+        calibrated, features = self.uncertainty, maps.features
         luminance = np.maximum(maps.luminance, np.float32(MIN_CDM2))
-        variance = unsure.variance(maps.cross, self.kernel.diagonal(features))  # [n]
-        share = 0.0 if maps.patch is None else maps.patch / luminance  # [n, P]
-        second = unsure.second_variance(features, self.captured)
-        square = log10_variance(
-            maps.unit / luminance, unsure.patch * share, variance, second, self.pixels.noise
+        variance = calibrated.variance(maps.cross, self.kernel.diagonal(features))  # [n]
+        second = calibrated.second_variance(features, self.captured)  # [n]
+        of_patch = calibrated.patch * (0.0 if maps.patch is None else maps.patch / luminance)
+        squared_sd = log10_variance(
+            maps.unit / luminance, of_patch, variance, second, self.pixels.noise
         )  # [n, P]
         weights = equirect_solid_angles(*self.seen.shape)[self.seen]
-        guess = square.astype(float) @ (weights / weights.sum())  # [n]
-        expected = unsure.expected_mse(features, self.captured, guess)
-        wider = unsure.band * np.sqrt(expected / np.maximum(guess, 1e-12))
-        sd = np.minimum(np.sqrt(square) * wider.astype(square.dtype)[:, None], 1.0)
-        # a trusted hour is at most 1.5 times as far from the captures as any held-out day
-        return sd, expected, variance <= 1.5 * unsure.novelty
+        guess = squared_sd.astype(float) @ (weights / weights.sum())  # [n]
+        expected = calibrated.expected_mse(features, self.captured, guess)
+        factor = calibrated.band * np.sqrt(expected / np.maximum(guess, 1e-12))  # [n]
+        sd = np.minimum(np.sqrt(squared_sd) * factor.astype(squared_sd.dtype)[:, None], 1.0)
+        # A trusted hour is at most 1.5 times as far from the captures as any held-out day.
+        return sd, expected, variance <= 1.5 * calibrated.novelty
 
     def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz."""
@@ -245,15 +247,16 @@ class MeanTransport:
         """
         fitted = self.fitted.predict(light, patch_cdm2)
         stated = self.stated.predict(light, self._stated_patches(light))
-        share, rest = self.share, 1.0 - self.share
-        root = share * np.sqrt(fitted.expected_mse) + rest * np.sqrt(stated.expected_mse)
+        share, other = self.share, 1.0 - self.share  # weights of the two models
+        # Root mean squared error of log10 L if both models erred alike.
+        rms = share * np.sqrt(fitted.expected_mse) + other * np.sqrt(stated.expected_mse)
         assert fitted.log10_sd is not None and stated.log10_sd is not None
-        sd = np.sqrt(self.agreement) * (share * fitted.log10_sd + rest * stated.log10_sd)
-        mean = fitted.luminance_cdm2**share * stated.luminance_cdm2**rest  # geometric
+        sd = np.sqrt(self.agreement) * (share * fitted.log10_sd + other * stated.log10_sd)
+        mean = fitted.luminance_cdm2**share * stated.luminance_cdm2**other  # geometric
         return Prediction(
             luminance_cdm2=mean.astype(np.float32),
             log10_sd=sd.astype(np.float32),
-            expected_mse=self.agreement * root**2,
+            expected_mse=self.agreement * rms**2,
             trusted=fitted.trusted,
         )
 
@@ -286,11 +289,12 @@ def from_state(state: ModelState) -> Transport | MeanTransport:
 # fit
 
 
-class _Inputs(NamedTuple):
-    """Captures with the sky that the kernel compares and the light of surfaces that it corrects.
+class _FitInputs(NamedTuple):
+    """One description of the n captures from which all pixels can be fitted.
 
-    arrays: all pixels; perez: features under Perez's skies; covariance: kernel between captures [n,
-    n]; basis: its eigenvectors.
+    arrays: captures at all pixels, with the features of their light; covariance: kernel between the
+    captures [n, n]; basis: its eigenvectors; perez: features of the captures under Perez's skies,
+    which those of `arrays` can replace by the skies that windows showed.
     """
 
     arrays: TrainingArrays
@@ -310,13 +314,13 @@ def fit(data: Dataset, *, patch: Patch = "absolute", seed: int = 0) -> Transport
     """
     stated = None if patch == "none" else _as_stated(data)
     if stated is None:
-        return _fit(_chosen_inputs(data, patch, seed))[0]
+        return _fit_chosen(_choose_with_or_without_room(data, patch, seed))[0]
 
     with part_of_progress(0, 2):
-        fitted, errors = _fit(_chosen(_described(data, patch, seed)))
+        fitted, errors = _fit_chosen(_choose_inputs(_candidates_of(data, patch, seed)))
     with part_of_progress(1, 2):
-        other, stated_errors = _fit(_chosen_inputs(stated, patch, seed))
-    return _mean(fitted, errors, other, stated_errors, len(data))
+        other, other_errors = _fit_chosen(_choose_with_or_without_room(stated, patch, seed))
+    return _mean_model(fitted, errors, other, other_errors, len(data))
 
 
 def _as_stated(data: Dataset) -> Dataset | None:
@@ -328,54 +332,55 @@ def _as_stated(data: Dataset) -> Dataset | None:
     return replace(stated, patch_cdm2=stated.patches(data.light))
 
 
-def _chosen_inputs(data: Dataset, patch: Patch, seed: int) -> _Chosen:
-    """Return the inputs of the stated room, or those without it if they predict clearly better.
+def _choose_with_or_without_room(data: Dataset, patch: Patch, seed: int) -> _Chosen:
+    """Return the inputs with the stated room, or those without it if they predict clearly better.
 
     A box can be worse than no room if it lacks, for example, a building in front of its windows.
     Compared are geometric means of the errors of held-out days and seasons. Without the room this
     figure is 0.34 times that with it in a room of another renderer where the year's error is 0.35
     times; in seven others it is 0.8 to 1.8 times, where the year's error is 0.7 to 1.8 times. data,
-    patch, seed: as for `_described`.
+    patch, seed: as for `_candidates_of`.
     """
-    stated = _chosen(_described(data, patch, seed))
+    stated = _choose_inputs(_candidates_of(data, patch, seed))
     if data.setup.room is None or seasons(data.days).max() == 0:
         return stated
     roomless = replace(data, setup=replace(data.setup, room=None), patch_cdm2=None)
     with shown_by(quiet):
-        free = _described(roomless, "none", seed)
-    of_days = [free.errors(inputs).figure("log10") for inputs in free.every]
-    if min(of_days) >= stated.errors.figure("log10"):
+        candidates = _candidates_of(roomless, "none", seed)
+    errors_of_days = [candidates.errors(inputs).figure("log10") for inputs in candidates.inputs]
+    if min(errors_of_days) >= stated.errors.figure("log10"):
         return stated
-    chosen = _chosen(free)
+    chosen = _choose_inputs(candidates)
     return chosen if chosen.expected_mse < MAX_ROOMLESS_RATIO * stated.expected_mse else stated
 
 
-def _mean(
+def _mean_model(
     fitted: Transport, errors: Array, stated: Transport, stated_errors: Array, count: int
 ) -> MeanTransport:
-    """Return the mean of the models of a fitted and of the stated room that held-out hours support.
+    """Return the mean of two models, with the shares that have the least squared held-out error.
 
-    errors, stated_errors: log10 of predicted over captured luminance in the tests of `calibrate`,
-    [k, P], of which the first `count` are of held-out days.
+    errors, stated_errors: of each model in the tests of `calibrate`: log10 of predicted over
+    captured luminance [k, P], of which the first `count` rows are of held-out days.
     """
-    apart = stated_errors - errors
-    best = float((stated_errors * apart).sum() / max((apart**2).sum(), 1e-9))
+    gap = stated_errors - errors
+    best = float((stated_errors * gap).sum() / max((gap**2).sum(), 1e-9))
     share = float(np.clip(best, 0.0, MAX_SHARE))
     mixed = share * errors + (1.0 - share) * stated_errors
-    root = share * np.sqrt((errors**2).mean()) + (1.0 - share) * np.sqrt((stated_errors**2).mean())
-    agreement = float((mixed**2).mean() / max(root**2, 1e-9))
+    rms = share * np.sqrt((errors**2).mean()) + (1.0 - share) * np.sqrt((stated_errors**2).mean())
+    agreement = float((mixed**2).mean() / max(rms**2, 1e-9))
     return MeanTransport(fitted, stated, share, agreement, (mixed[:count] ** 2).mean(axis=1))
 
 
-class _Described(NamedTuple):
-    """Captures with the inputs among which held-out days choose.
+class _Candidates(NamedTuple):
+    """The inputs of a fit among which held-out days choose, and what all of them share.
 
-    drawn: some pixels, by solid angle; scale: factor on all sun patches, None without; patch_light:
-    how patches become features, None without.
+    data: the captures; drawn: indices of the pixels that compare the inputs, drawn by solid angle
+    [CALIBRATING]; scale: fitted factor on all sun patches, and patch_light: how patches become
+    features, both None without sun patches; physics: coarse room model, None without a box room.
     """
 
     data: Dataset
-    every: list[_Inputs]
+    inputs: list[_FitInputs]
     kernel: Kernel
     drawn: Indices
     scale: float | None
@@ -383,9 +388,9 @@ class _Described(NamedTuple):
     patch_light: PatchLight | None
 
     def errors(
-        self, inputs: _Inputs, noise: float = NOISES[1], days: NDArray | None = None
+        self, inputs: _FitInputs, noise: float = NOISES[1], days: NDArray | None = None
     ) -> HeldOutErrors:
-        """Return the errors of held-out days, at some pixels.
+        """Return the errors of held-out days at the first CHOOSING of the `drawn` pixels.
 
         noise: relative variance of a captured value. days [n]: groups of hours that are held out
         together; None for the captures' days.
@@ -396,33 +401,34 @@ class _Described(NamedTuple):
 
 
 class _Chosen(NamedTuple):
-    """Captures with their inputs and the noise (relative variance of a captured value) of a fit.
+    """The chosen one of the candidates, and the noise of its fit.
 
-    errors: of held-out days.
+    noise: relative variance of a captured value; errors: of held-out days.
     """
 
-    of: _Described
-    inputs: _Inputs
+    candidates: _Candidates
+    inputs: _FitInputs
     noise: float
     errors: HeldOutErrors
 
     @property
     def expected_mse(self) -> float:
         """Geometric mean of the log10 MSE of held-out days and of held-out seasons."""
-        other = self.of.errors(self.inputs, self.noise, seasons(self.of.data.days))
-        return float(np.sqrt(self.errors.figure("log10") * other.figure("log10")))
+        days = seasons(self.candidates.data.days)
+        of_seasons = self.candidates.errors(self.inputs, self.noise, days)
+        return float(np.sqrt(self.errors.figure("log10") * of_seasons.figure("log10")))
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # its matrices are small; chunks run at once
-def _described(data: Dataset, patch: Patch, seed: int) -> _Described:
-    """Describe the light of captures in all ways among which held-out days choose.
+def _candidates_of(data: Dataset, patch: Patch, seed: int) -> _Candidates:
+    """Return the inputs of a fit to the captures `data` among which held-out days choose.
 
-    patch: with "none" sun patches are not used; seed: of the draw of pixels by which the days
-    choose. Raises NotEnoughDataError for fewer than three captures.
+    patch: with "none" sun patches are not used; seed: of the draw of pixels that compare the
+    inputs. Raises NotEnoughDataError for fewer than three captures.
     """
     if len(data) < 3:
-        found = f"{counted(len(data), 'capture')}; light transport needs at least 3"
-        raise NotEnoughDataError(f"{found}; capture more hours")
+        finding = f"{counted(len(data), 'capture')}; light transport needs at least 3"
+        raise NotEnoughDataError(f"{finding}; capture more hours")
     progress(0, 100, "describing light")
     arrays = training_arrays_of(data, with_patch=patch != "none")
     scale = None
@@ -437,17 +443,15 @@ def _described(data: Dataset, patch: Patch, seed: int) -> _Described:
         patch_light = PatchLight.of(data.patch_cdm2, data.light, window)
         entered = patch_light.features(data.patch_cdm2, data.light, window)
         arrays = replace(arrays, features=replace(arrays.features, bounced=entered))
-    every = _inputs(arrays, kernel, physics, data.seen)
+    inputs = _candidate_inputs(arrays, kernel, physics, data.seen)
     progress(10, 100, "choosing by held-out days")
-    rng = np.random.default_rng(seed)
-    count = min(CALIBRATING, len(arrays.weights))
-    share = arrays.weights / arrays.weights.sum()
-    drawn = rng.choice(len(arrays.weights), count, p=share)
-    return _Described(data, every, kernel, drawn, scale, physics, patch_light)
+    count, share = len(arrays.weights), arrays.weights / arrays.weights.sum()
+    drawn = np.random.default_rng(seed).choice(count, min(CALIBRATING, count), p=share)
+    return _Candidates(data, inputs, kernel, drawn, scale, physics, patch_light)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def _chosen(of: _Described) -> _Chosen:
+def _choose_inputs(candidates: _Candidates) -> _Chosen:
     """Choose the inputs and the noise with the smallest error on held-out days at some pixels.
 
     A lamp that is on in all hours must explain 30 % of the error and a standard error (rooms
@@ -456,70 +460,82 @@ def _chosen(of: _Described) -> _Chosen:
     without patches, and for days of one season: held-out days, which have nearly the same suns as
     others, do not show these errors.
     """
-    tried = [of.errors(inputs) for inputs in of.every]
+    data, tried = candidates.data, [candidates.errors(inputs) for inputs in candidates.inputs]
     k = choose(tried).best
-    best, errors = of.every[k], tried[k]
-    states = replace(best.arrays.states, always=True)
-    lamps = states.features(best.arrays.light).lamps
-    both = (replace(best.arrays.features, lamps=lamps), replace(best.perez, lamps=lamps))
-    lit = _compared(replace(best.arrays, states=states, features=both[0]), of.kernel, both[1])
-    with_lamp = of.errors(lit)
-    gain, error = difference(errors, with_lamp, "log10")
+    best, errors = candidates.inputs[k], tried[k]
+    lit = _with_lamp(best, candidates.kernel)
+    lit_errors = candidates.errors(lit)
+    gain, error = difference(errors, lit_errors, "log10")
     if gain > max(0.3 * errors.figure("log10"), error):
-        best, errors = lit, with_lamp
-    robust = of.data.scene is not None or best.arrays.patch is None
-    # held-out days from one season, 20 degrees of solar declination, do not test other seasons
-    noises = NOISES[robust or float(np.ptp(_declination_deg(of.data.days))) < 20.0 :]
-    tried = [errors if noise == NOISES[1] else of.errors(best, noise) for noise in noises]
+        best, errors = lit, lit_errors
+    # Held-out days from one season, 20 degrees of solar declination, do not test other seasons.
+    one_season = float(np.ptp(_declination_deg(data.days))) < 20.0
+    uncertain = data.scene is not None or best.arrays.patch is None or one_season
+    noises = NOISES[1:] if uncertain else NOISES
+    tried = [errors if noise == NOISES[1] else candidates.errors(best, noise) for noise in noises]
     k = choose(tried).best
-    return _Chosen(of, best, noises[k], tried[k])
+    return _Chosen(candidates, best, noises[k], tried[k])
+
+
+def _with_lamp(inputs: _FitInputs, kernel: Kernel) -> _FitInputs:
+    """Return the inputs with one more lamp, which is on in every hour not marked lamp=off."""
+    states = replace(inputs.arrays.states, always=True)
+    lamps = states.features(inputs.arrays.light).lamps
+    features = replace(inputs.arrays.features, lamps=lamps)
+    arrays = replace(inputs.arrays, states=states, features=features)
+    return _fit_inputs(arrays, kernel, replace(inputs.perez, lamps=lamps))
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def _fit(chosen: _Chosen) -> tuple[Transport, Array]:
-    """Return one model, and its errors in the tests of `calibrate` [k, P]."""
-    of, inputs, noise = chosen.of, chosen.inputs, chosen.noise
+def _fit_chosen(chosen: _Chosen) -> tuple[Transport, Array]:
+    """Fit all pixels to the chosen inputs; return the model and its held-out errors [k, P].
+
+    The errors are those of k tests of `calibrate` at the P drawn pixels: log10 of predicted over
+    captured luminance.
+    """
+    common, inputs, noise = chosen.candidates, chosen.inputs, chosen.noise
     arrays, basis = inputs.arrays, inputs.basis
     progress(20, 100, "fitting")
     pixels = fit_pixels(
-        arrays, basis, noise, lambda done, of: progress(20 + 70 * done // of, 100, "fitting")
+        arrays, basis, noise, lambda part, count: progress(20 + 70 * part // count, 100, "fitting")
     )
     progress(90, 100, "calibrating uncertainty")
-    careful = of.scale is None or of.physics is not None
-    sample, residual = arrays[of.drawn], pixels.noise[of.drawn]
+    careful = common.scale is None or common.physics is not None
+    sample, residual = arrays[common.drawn], pixels.noise[common.drawn]
     uncertainty, errors = calibrate(sample, basis, inputs.covariance, noise, residual, careful)
     fitted = Transport(
-        seen=of.data.seen,
-        heading_deg=of.data.heading_deg,
+        seen=common.data.seen,
+        heading_deg=common.data.heading_deg,
         noise=noise,
-        kernel=of.kernel,
+        kernel=common.kernel,
         captured=arrays.features,
         projector=basis.projector,
         states=arrays.states,
         open_sky=arrays.open_sky,
         pixels=pixels,
         uncertainty=uncertainty,
-        patch_scale=of.scale,
-        physics=of.physics,
-        patch_light=of.patch_light,
+        patch_scale=common.scale,
+        physics=common.physics,
+        patch_light=common.patch_light,
     )
     return fitted, errors
 
 
-def _compared(arrays: TrainingArrays, kernel: Kernel, perez: Features) -> _Inputs:
-    """Return inputs by what the kernel compares; perez: features under Perez's skies."""
+def _fit_inputs(arrays: TrainingArrays, kernel: Kernel, perez: Features) -> _FitInputs:
+    """Return the inputs of a fit to captures; perez: their features under Perez's skies."""
     covariance = kernel(arrays.features, arrays.features)
-    return _Inputs(arrays, perez, covariance, basis_of(covariance, kernel(perez, arrays.features)))
+    basis = basis_of(covariance, kernel(perez, arrays.features))
+    return _FitInputs(arrays, perez, covariance, basis)
 
 
-def _inputs(
+def _candidate_inputs(
     arrays: TrainingArrays, kernel: Kernel, physics: Physics | None, seen: Mask
-) -> list[_Inputs]:
+) -> list[_FitInputs]:
     """Return the inputs among which held-out days choose.
 
     These are Perez's skies or, with at least four days, those that windows showed, each with and
-    without the light of the stated room. arrays: of the captures; seen: pixels that a lens saw [H,
-    W].
+    without the light of the stated room. arrays: of the captures; physics: model of that room, None
+    without one; seen: pixels that a lens saw [H, W].
     """
     light, sunlight, perez = arrays.light, None, None
     if physics is not None:
@@ -532,7 +548,7 @@ def _inputs(
     out = []
     for shown in (None,) if sky is None else (None, sky):
         under_sky = arrays if shown is None else arrays.under(shown)
-        out.append(_compared(under_sky, kernel, arrays.features))
+        out.append(_fit_inputs(under_sky, kernel, arrays.features))
         if physics is not None and sunlight is not None and perez is not None:
             under = perez if shown is None else physics.luminance(light, sunlight, seen, shown)
             lit = replace(under_sky, computed=computed_light(under_sky, under, perez))
@@ -567,16 +583,17 @@ def seasons(days: NDArray) -> Indices:
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """Calibrated uncertainty of predictions: n captures, P pixels, L luminance.
+    """The uncertainty of a model's predictions, calibrated on n captures with held-out days.
 
-    inverse, second: of the captures' covariance plus noise, in the first and in the second stage
-    [n, n]; novelty: largest predictive variance of a capture with its day held out; patch: relative
-    standard deviation of a sun patch; band: standard deviation whose 1.645 times contain 90 % of
-    the held-out errors, over their root mean square; careful: True if errors grow away from
-    captures by more than the variance shows: without sun patches, or with those of a stated or
-    fitted room, which are wrong in places. Of k tests, in which a captured hour was predicted from
-    other days or, if there are several, from other seasons: tested, index of the capture; error_of,
-    guess_of: log10 MSE, and its estimate before `expected_mse` [k].
+    inverse, second: inverse of the captures' covariance plus noise, in the first and in the second
+    stage [n, n]; novelty: largest predictive variance of a capture with its day held out; patch:
+    relative standard deviation of a sun patch; band: factor on all standard deviations, so that
+    1.645 of them on each side contain 90 % of the held-out errors; careful: True if errors grow
+    away from captures by more than the variance shows: without sun patches, or with those of a
+    stated or fitted room, which are wrong in places. In each of k tests a captured hour was
+    predicted from the other days or, with captures of several seasons, from the other seasons;
+    tested: index of that hour [k]; error_of: its log10 MSE [k]; guess_of: the estimate of this
+    error before the correction of `expected_mse` [k].
     """
 
     inverse: Array
@@ -590,18 +607,19 @@ class Uncertainty:
     careful: bool = True
 
     def variance(self, cross: Array, own: Array) -> Array:
-        """Return the variance of m hours that remains after the captures, in kernel units, [m].
+        """Return the variance of m hours that the captures do not explain, in kernel units, [m].
 
-        cross: covariance between the hours and the captures [m, n]; own: prior variance of the
-        hours [m].
+        cross: kernel between the hours and the captures [m, n]; own: prior variance of the hours
+        [m].
         """
         return np.maximum(own - np.einsum("ij,ij->i", cross @ self.inverse, cross), 0.0)
 
     def second_variance(self, hours: Features, captured: Features) -> Array:
-        """Return the variance of m hours that remains after the second stage, [m].
+        """Return the variance of m hours that the second stage does not explain, [m].
 
         It includes the noise of one capture. The second stage corrects light of the sun; its
-        variance is in units of (sun's share of the total light) squared.
+        variance is in units of (sun's share of the total light) squared. hours, captured: features
+        of the m hours and of the n captures.
         """
         cross = second_covariance(hours, captured)
         explained = np.einsum("ij,ij->i", cross @ self.second, cross)
@@ -611,17 +629,19 @@ class Uncertainty:
         """Return the log10 MSE to expect in m `hours`, [m]: `guess` [m], corrected by the tests.
 
         The factor is the tests' errors over their guesses, each summed with more weight for tests
-        with a like share of sun. captured: of the n captures. If `careful`, the result is at least
-        the weighted mean error of the tests (geometric mean over held-out days and seasons).
+        with a similar share of sun. captured: features of the n captures. If `careful`, the result
+        is at least the weighted mean error of the tests (geometric mean over held-out days and
+        seasons).
         """
         beam, n = captured.beam[self.tested], len(captured)
         # Hours with a tenth more or less sun are similar.
-        like = np.exp(-0.5 * ((hours.beam[:, None] - beam) / 0.1) ** 2) + 1e-9
-        expected = guess * (like @ self.error_of) / (like @ self.guess_of)
+        weight = np.exp(-0.5 * ((hours.beam[:, None] - beam) / 0.1) ** 2) + 1e-9  # [m, k]
+        expected = guess * (weight @ self.error_of) / (weight @ self.guess_of)
         if not self.careful:
             return expected
+        # Of the k tests, the first n are of held-out days, the next n of held-out seasons.
         groups = [slice(start, start + n) for start in range(0, len(beam), n)]
-        means = [like[:, g] @ self.error_of[g] / like[:, g].sum(axis=1) for g in groups]
+        means = [weight[:, g] @ self.error_of[g] / weight[:, g].sum(axis=1) for g in groups]
         return np.maximum(expected, np.exp(np.log(means).mean(axis=0)))
 
 
@@ -632,18 +652,20 @@ def log10_variance(
     second: Array,
     noise: Floats32,
 ) -> Floats:
-    """Return the variance of log10 L before `expected_mse`, [m, P]; at most of a factor of ten.
+    """Return the variance of log10 L, before its correction by `Uncertainty.expected_mse`, [m, P].
+
+    It is 1 at most, a factor of ten in L. m hours, P pixels.
 
     surface_share: luminance of a usual surface (total light times pixel scale) over L [m, P];
     patch_share: luminance of the sun patch over L [m, P] times its relative standard deviation, or
     0; variance, second: results of `Uncertainty.variance` and `second_variance` [m]; noise:
     `PixelFit.noise` [P].
     """
-    kind = surface_share.dtype
-    total = surface_share**2 * variance.astype(kind)[:, None]
-    total += second.astype(kind)[:, None] * noise**2 + patch_share**2
-    # with more than a factor of ten, one pixel would dominate the hour's mean
-    return np.minimum(total * kind.type(LOG10_E**2), kind.type(1.0))
+    dtype = surface_share.dtype
+    of_ln = surface_share**2 * variance.astype(dtype)[:, None]  # variance of ln L
+    of_ln += second.astype(dtype)[:, None] * noise**2 + patch_share**2
+    # With more than a factor of ten, one pixel would dominate the hour's mean.
+    return np.minimum(of_ln * dtype.type(LOG10_E**2), dtype.type(1.0))
 
 
 def calibrate(
@@ -654,21 +676,22 @@ def calibrate(
     residual: Floats32,
     careful: bool,
 ) -> tuple[Uncertainty, Array]:
-    """Test the estimated uncertainty on held-out days and, if there are several, held-out seasons.
+    """Calibrate the uncertainty of a model on held-out days and, with several, held-out seasons.
 
-    Return it with the errors of these tests, log10 of predicted over captured luminance [k, P].
+    Return it with the errors of these k tests, log10 of predicted over captured luminance [k, P].
 
-    arrays, residual: of some pixels; covariance: kernel between captures [n, n], basis: its
-    features; noise: of the fit; careful: see `Uncertainty`.
+    arrays: n captures at P pixels; residual: their `PixelFit.noise` [P]; covariance: kernel between
+    captures [n, n], basis: its features; noise: of the fit, variance of a target of weight 1;
+    careful: see `Uncertainty`.
     """
-    unsure = noise / arrays.sureness  # hours of unsteady light have less weight
-    inverse, second = np.linalg.inv(covariance + np.diag(unsure)), second_inverse(arrays)
+    hour_noise = noise / arrays.sureness  # hours of unsteady light have less weight
+    inverse, second = np.linalg.inv(covariance + np.diag(hour_noise)), second_inverse(arrays)
     groups = [arrays.days, seasons(arrays.days)]
     tests = [
         _Test(
             hold_out(replace(arrays, days=days), basis, noise),
-            _held_out(inverse, unsure, days),
-            _held_out(second, np.zeros(len(days)), days),
+            _held_out_variance(inverse, hour_noise, days),
+            _held_out_variance(second, np.zeros(len(days)), days),
         )
         for days in (groups if groups[1].max() > 0 else groups[:1])
     ]
@@ -677,7 +700,7 @@ def calibrate(
     share = arrays.trust + 1e-9
     share /= share.sum(axis=1)[:, None]
     guess = np.concatenate([(share * square).sum(axis=1) for square in squares])
-    error = np.concatenate([(test.held.error**2).mean(axis=1) for test in tests])
+    errors = np.concatenate([test.held.error for test in tests])
     out = Uncertainty(
         inverse=inverse,
         second=second,
@@ -685,7 +708,7 @@ def calibrate(
         patch=patch,
         band=1.0,
         tested=np.tile(np.arange(len(covariance)), len(tests)),
-        error_of=error,
+        error_of=(errors**2).mean(axis=1),
         guess_of=guess,
         careful=careful,
     )
@@ -693,44 +716,53 @@ def calibrate(
     expected = out.expected_mse(features[rows], features, guess)
     square = np.concatenate(squares) * (expected / guess)[:, None]
     sd = np.sqrt(square + LOG10_E**2 * arrays.unsure[rows, None])
-    # the harder of days and seasons: a year has other seasons than the captures
-    parts = zip(tests, np.split(sd, len(tests)), strict=True)
-    ratios = [np.abs(test.held.error) / part for test, part in parts]
+    ratios = np.split(np.abs(errors) / sd, len(tests))  # [n, P] each
+    # The larger one of days and seasons, because a year has other seasons than the captures.
     band = max(float(np.quantile(ratio[~arrays.filled], 0.9)) for ratio in ratios)
-    errors = np.concatenate([test.held.error for test in tests])
+    # 90 % of a normal distribution are within 1.6449 standard deviations.
     return replace(out, band=band / 1.6449), errors
 
 
 class _Test(NamedTuple):
-    """Captured hours as predicted from others, and their variances in both stages [n]."""
+    """n captured hours as predicted from other days or seasons.
+
+    variance, second: variances of the hours in the first and in the second stage [n].
+    """
 
     held: HeldOutFit
     variance: Array
     second: Array
 
     def log10_variance(self, arrays: TrainingArrays, patch: float, residual: Floats32) -> Floats:
-        """Return the estimated variance of log10 L, [n, P]."""
+        """Return the estimated variance of log10 L of the n hours at P pixels, [n, P].
+
+        arrays: the captures; patch: relative standard deviation of a sun patch; residual:
+        `PixelFit.noise` [P].
+        """
         luminance = np.maximum(self.held.luminance, MIN_CDM2)
         unit = arrays.light.total_lx[:, None] * self.held.scale
         share = 0.0 if arrays.patch is None else patch * arrays.patch / luminance
         return log10_variance(unit / luminance, share, self.variance, self.second, residual)
 
 
-def _held_out(inverse: Array, unsure: Array, days: NDArray) -> Array:
+def _held_out_variance(inverse: Array, hour_noise: Array, days: NDArray) -> Array:
     """Return the variance of each captured hour, predicted from other days, in kernel units, [n].
 
-    inverse: of the covariance between captures plus their noise, of which `unsure` [n] does not
-    count; hours of equal `days` are held out together.
+    inverse: of the covariance between captures plus their noise [n, n]; hour_noise: the part of
+    this noise that the result does not contain [n]; hours of equal `days` are held out together.
     """
     variance = np.empty(len(days))
     for day in np.unique(days):
         rows = np.flatnonzero(days == day)
-        variance[rows] = np.diagonal(np.linalg.inv(inverse[np.ix_(rows, rows)])) - unsure[rows]
+        variance[rows] = np.diagonal(np.linalg.inv(inverse[np.ix_(rows, rows)])) - hour_noise[rows]
     return np.maximum(variance, 0.0)
 
 
 def _patch_sd(arrays: TrainingArrays, held: HeldOutFit) -> float:
-    """Return the relative sd of a sun patch, from held-out pixels with mostly direct sun."""
+    """Return the relative standard deviation of a sun patch: that of held-out values.
+
+    Compared are the values of which over 30 % are direct sun; with 20 of them or fewer it is 0.05.
+    """
     if arrays.patch is None:
         return 0.0
     lit = (arrays.patch > 0.3 * np.maximum(held.luminance, MIN_CDM2)) & ~arrays.filled

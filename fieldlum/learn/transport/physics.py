@@ -1,7 +1,8 @@
-"""Compute where light would go in the stated room: a coarse prior that captures correct.
+"""Compute where light goes in the stated room: a coarse prior, which the captures correct.
 
-A room file is rough: furniture is missing, reflectances are guesses. Each pixel's computed light,
-at the level of its captures, is the prior mean of the fit, if held-out days do not contradict it.
+A [room] of SITE.toml is rough: furniture is missing, reflectances are guesses. Each pixel's
+computed light, at the level of its captures, is the prior mean of the fit, if held-out days do not
+contradict it.
 """
 
 from dataclasses import dataclass, replace
@@ -34,12 +35,14 @@ SUN_MODES, SKY_MODES = 300, 64
 class Physics:
     """A coarse model of the light in a room, after all bounces.
 
-    position [m, 3], axis, sign, share, piece [m]: points of the p surface pieces that are tested
-    for sun, in room coordinates; modes [k, p]: orthonormal patterns of sunlight on the pieces that
-    explain the camera's light; comparison [k, j]: turns their coefficients into features of an
-    hour, which are alike for hours that light the room alike. Computed light on a panorama of 2 h^2
-    pixels, cd/m2: sun_light [k, 2 h^2] per unit of a mode; sky_modes [s, 2306] of the luminance of
-    sky and ground; sky_light [s, 2 h^2] per unit of these.
+    The room's surfaces are cut into p pieces, and m points of these are tested for sun. Of each
+    point: position in room coordinates [m, 3] m; axis and sign of its surface's normal (0 to 2, -1
+    or 1) [m]; share of its piece [m]; index of its piece [m]. modes [k, p]: orthonormal patterns of
+    sunlight on the pieces that explain the camera's light; comparison [k, j]: turns coefficients of
+    the modes into features of an hour, which are similar for hours that light the room similarly.
+    Panoramas of computed light have h rows, so 2 h^2 pixels: sun_light [k, 2 h^2] cd/m2 for a
+    coefficient of 1 of each mode; sky_modes [s, 2306]: orthonormal patterns of the luminance of sky
+    patches and ground; sky_light [s, 2 h^2] cd/m2 for a coefficient of 1 of each of these.
     """
 
     room: Room
@@ -56,31 +59,32 @@ class Physics:
 
     @cached_property
     def _points(self) -> SunPoints:
-        place, share = self.position.astype(float), self.share.astype(float)
+        """The points of the pieces, prepared for tracing the sun."""
+        position, share = self.position.astype(float), self.share.astype(float)
         surfaces, pieces = (self.axis, self.sign), self.modes.shape[1]
-        return sun_points(build(self.room), place, *surfaces, share, self.piece, pieces)
+        return sun_points(build(self.room), position, *surfaces, share, self.piece, pieces)
 
     def sunlight(self, light: Light) -> Floats32:
-        """Return the sun on the pieces in n hours as coefficients of the k modes [n, k] lx."""
-        toward = self._points.scene.to_room(light.apparent_sun_direction)
+        """Return the sun on the pieces in n hours as coefficients of the modes, [n, k] lx."""
+        towards = self._points.scene.to_room(light.apparent_sun_direction)
         out = np.zeros((len(light), len(self.modes)), np.float32)
-        lit = np.flatnonzero(light.direct_lx > 0.0)
-        for k, lx in zip(lit, self._points.direct(toward[lit]), strict=True):
-            out[k] = self.modes @ lx * light.direct_lx[k]
+        sunny = np.flatnonzero(light.direct_lx > 0.0)
+        for hour, shares in zip(sunny, self._points.direct(towards[sunny]), strict=True):
+            out[hour] = self.modes @ shares * light.direct_lx[hour]  # shares of the beam [p]
         return out
 
     def features(self, light: Light, sunlight: Floats32) -> Floats32:
-        """Return what a kernel compares, about 1 with the sun in the room, [n, j].
+        """Return features by which the kernel compares hours, [n, j]; about 1 with sun in the room.
 
-        light: of n hours; sunlight: result of `sunlight` for them [n, k]. Inner products of rows
-        are those of the pictures of reflected sunlight, per total light.
+        light: of n hours; sunlight: result of `sunlight` for them [n, k]. The inner product of two
+        hours is that of their pictures of reflected sunlight, per total light.
         """
         return sunlight @ self.comparison / light.total_lx.astype(np.float32)[:, None]
 
     def luminance(
         self, light: Light, sunlight: Floats32, seen_mask: Mask, sky_cdm2: Floats32 | None = None
     ) -> Floats32:
-        """Return the computed light of surfaces, without direct sun on them, [n, P] cd/m2.
+        """Return the computed luminance of surfaces, without direct sun on them, [n, P] cd/m2.
 
         sunlight: result of `sunlight` for `light` [n, k]; seen_mask [H, W]: mask of the P pixels;
         sky_cdm2: of the Reinhart patches [n, 2305], None for the Perez skies of `light`.
@@ -108,9 +112,9 @@ def _outdoors(light: Light, sky_cdm2: Floats32) -> Floats32:
 
 
 def _light_of_year(site: Site, dni_wm2: float, dhi_wm2: float) -> Light:
-    """Return hours with the sun in all places of a year, under one weather."""
+    """Return hours with all positions of the sun in a year, each with the same irradiance."""
     start = datetime(2027, 1, 1, tzinfo=UTC)
-    # steps of 41 h reach all hours of the day in all seasons
+    # Steps of 41 h reach all hours of the day in all seasons.
     times = [start + timedelta(hours=41.0 * k) for k in range(8760 // 41)]
     light = light_at(times, site, np.array(dni_wm2), np.array(dhi_wm2))
     return light[light.sun_altitude_deg > 0.0]
@@ -130,9 +134,9 @@ def _sky_modes(site: Site) -> Floats32:
 
 
 def physics_of(setup: SiteFile, heading_deg: float) -> Physics | None:
-    """Return a coarse model of light in the room of SITE.toml; None without a box with windows.
+    """Return the coarse model of light in the room of SITE.toml; None without a box with windows.
 
-    heading_deg: azimuth of the middle of the maps.
+    heading_deg: azimuth of the maps' centre column.
     """
     if not is_box_with_window(setup.room):
         return None
@@ -141,7 +145,7 @@ def physics_of(setup: SiteFile, heading_deg: float) -> Physics | None:
 
 @lru_cache(maxsize=4)
 def _physics_of(setup: SiteFile) -> Physics:
-    """Compute the modes of a room; stored, because training fits the same room some 20 times.
+    """Return the coarse model of light in a box room; cached for the some 20 fits of a training.
 
     The modes span the range of the light of random pictures (Halko, Martinsson and Tropp, SIAM
     Review 53, 2011), so that no singular values of the complete matrix are needed.
@@ -149,24 +153,25 @@ def _physics_of(setup: SiteFile) -> Physics:
     assert setup.room is not None
     lit = lit_room(setup, height=HEIGHT, quality=QUALITY)
     pieces = lit.pieces
-    reflect = (pieces.reflectance / np.pi).astype(np.float32)[:, None]
-    root = np.sqrt(equirect_solid_angles(HEIGHT, 2 * HEIGHT)).reshape(-1, 1)
+    reflect = (pieces.reflectance / np.pi).astype(np.float32)[:, None]  # lx to cd/m2 [p, 1]
+    root = np.sqrt(equirect_solid_angles(HEIGHT, 2 * HEIGHT)).reshape(-1, 1)  # [2 h^2, 1]
     count = min(SUN_MODES, len(reflect))
+    # The transposed light transport carries random pictures back to the pieces.
     pictures = np.random.default_rng(0).standard_normal((len(root), count)) * root
     points = lit.smooth.T @ (lit.to_pixels.T @ pictures)
-    first = lit.point_coefficients[:, FIRST_PIECE:].T @ points  # [p, k]
+    first = lit.point_coefficients[:, FIRST_PIECE:].T @ points  # without bounces [p, k]
     bounces = lit.bounce_coefficients.T.tocsr()
     total = first
-    # each leaves less than half of the light, so the rest is below a millionth
+    # Each bounce leaves less than half of the light, so that the rest is below a millionth.
     for _ in range(20):
         total = first + bounces @ (reflect * total)
     modes = np.linalg.qr(reflect * total)[0].astype(np.float32)  # [p, k]
     sky_modes = _sky_modes(setup.site)
-    dark = np.zeros((FIRST_PIECE, count), np.float32)
+    dark = np.zeros((FIRST_PIECE, count), np.float32)  # sky and ground, without light
     sun_light = lit.pixels_cdm2(lit.columns(dark, modes)).T.astype(np.float32)  # [k, 2 h^2]
     weighted = sun_light * root.ravel()
     values, vectors = np.linalg.eigh(weighted @ weighted.T)
-    # number of patterns of reflected sunlight that compare hours
+    # The 48 strongest patterns of reflected sunlight compare hours.
     comparison = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1][:, :48]
     physics = Physics(
         room=setup.room,
@@ -181,8 +186,15 @@ def _physics_of(setup: SiteFile) -> Physics:
         sky_modes=sky_modes,
         sky_light=lit.pixels_cdm2(lit.columns(sky_modes.T)).T.astype(np.float32),
     )
-    clear = _light_of_year(setup.site, 800.0, 100.0)
+    return replace(physics, comparison=physics.comparison / _sunny_norm(physics, setup.site))
+
+
+def _sunny_norm(physics: Physics, site: Site) -> np.float32:
+    """Return the norm of the features per share of direct sun when the sun is in the room.
+
+    It is the third quartile over the clear hours of a year with such sun, 1 without any.
+    """
+    clear = _light_of_year(site, 800.0, 100.0)
     size = np.linalg.norm(physics.features(clear, physics.sunlight(clear)), axis=1)
     size = size * clear.total_lx / np.maximum(clear.direct_lx, 1.0)
-    norm = np.percentile(size[size > 0.0], 75) if (size > 0.0).any() else 1.0
-    return replace(physics, comparison=physics.comparison / np.float32(norm))
+    return np.float32(np.percentile(size[size > 0.0], 75) if (size > 0.0).any() else 1.0)

@@ -3,14 +3,16 @@
 Each pixel minimises  sum_t w_t (y_t - F_t b - C_t g)^2 / noise + |b|^2 + sum_k (g_k - 1)^2 /
 variance_k, with features F that all pixels share and columns C of its own: computed light, sun
 patch and window sky. Robust rounds move the solution to the least squared error of the logarithm.
-A second stage predicts the logarithm of what remains by a Gaussian process that all pixels share.
-Everything is in closed form.
+A second stage predicts the log residual by a Gaussian process that all pixels share. Everything is
+in closed form.
+
+n: captured hours, P: pixels, r: features, k: columns of each pixel.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -39,6 +41,9 @@ MIN_SHARE = 0.1
 SECOND_WIDTH = 0.15
 SECOND_NOISE = 0.06  # noise of the second stage's log residuals; not measured
 
+Tick = Callable[[int, int], None]
+"""A function that shows progress: it gets the number of completed items, and of all."""
+
 
 @dataclass(frozen=True)
 class Basis:
@@ -46,7 +51,8 @@ class Basis:
 
     values: features of the captured hours [n, r]; projector [n, r]: the features of a new hour are
     kernel(new, captured) @ projector; assumed: features of the captured hours under Perez's skies
-    [n, r], with which held-out hours are predicted: as `values`, unless the fit has other skies.
+    [n, r], with which held-out hours are predicted; equal to `values` unless the fit has other
+    skies.
     """
 
     values: Array
@@ -55,36 +61,38 @@ class Basis:
 
     @cached_property
     def pairs(self) -> tuple[Array, Indices, Indices]:
-        """Products of all pairs of features of each hour, and which features they pair.
+        """Products F_a F_b of an hour's features for all pairs a <= b, with the indices a and b.
 
-        F_a F_b of `values` for a <= b, [n, r (r + 1) / 2], then indices a and b of the columns.
+        Shapes: products [n, r (r + 1) / 2], a and b [r (r + 1) / 2].
         """
         a, b = np.triu_indices(self.values.shape[1])
         return self.values[:, a] * self.values[:, b], a, b
 
 
 def basis_of(covariance: Array, assumed: Array | None = None) -> Basis:
-    """Return the features given by the largest eigenvalues of a covariance [n, n], at most RANK.
+    """Return the features that belong to the largest eigenvalues of the kernel, at most RANK.
 
-    `values` are the eigenvectors times, `projector` divided by, the roots of the eigenvalues.
-    Eigenvalues below a millionth of the largest are omitted, so there can be fewer features.
-    assumed: covariance between the hours under Perez's skies and the captures [n, n].
+    covariance: kernel between the captured hours [n, n]; assumed: kernel between these hours under
+    Perez's skies and the captured hours [n, n], None if `covariance` is that. `values` are the
+    eigenvectors times the roots of their eigenvalues, `projector` is the eigenvectors divided by
+    them. Eigenvalues below a millionth of the largest are omitted.
     """
-    value, vector = np.linalg.eigh(covariance)
-    keep = np.argsort(value)[::-1][:RANK]
-    keep = keep[value[keep] > 1e-6 * value[keep[0]]]
-    root = np.sqrt(value[keep])
-    values, projector = vector[:, keep] * root, vector[:, keep] / root
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    used = np.argsort(eigenvalues)[::-1][:RANK]
+    used = used[eigenvalues[used] > 1e-6 * eigenvalues[used[0]]]
+    root = np.sqrt(eigenvalues[used])
+    values, projector = vectors[:, used] * root, vectors[:, used] / root
     return Basis(values, projector, values if assumed is None else assumed @ projector)
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """The k covariates of each pixel, and the prior variance of their gains, whose mean is 1.
+    """The k columns of each pixel: known light, of which the fit finds the gains.
 
     values: computed light, sun patch and window sky over total light and pixel scale, the first two
-    only if they are used [k, n, P]; variance: [k]; surface: how many of them, counted from the
-    first, are light of the surface itself: 1 with computed light, else 0.
+    only if they are used [k, n, P]; variance: prior variance of the gains, whose prior mean is 1
+    [k]; surface: number of columns, from the first, that are light of the surface itself: 1 with
+    computed light, else 0.
     """
 
     values: Floats
@@ -93,10 +101,10 @@ class Columns:
 
     @classmethod
     def of(cls, arrays: TrainingArrays, unit: Array, computed: Floats32 | None) -> Columns:
-        """Return the covariates of `arrays`.
+        """Return the columns of the pixels of `arrays`.
 
-        unit: total light times pixel scale [n, P] cd/m2; computed: luminance of the room's model
-        [n, P] cd/m2, None without a room.
+        unit: total light times pixel scale [n, P] cd/m2; computed: luminance by the coarse model of
+        the room [n, P] cd/m2, None without a room.
         """
         parts = [(arrays.sky, SKY_VARIANCE)]
         if arrays.patch is not None:
@@ -107,22 +115,14 @@ class Columns:
         return cls(values, np.array([v for _, v in parts]), int(computed is not None))
 
     def design(self, features: Array) -> Array:
-        """Return features [n, r] and covariates of each pixel next to each other, [P, n, r + k]."""
+        """Return each pixel's design matrix: features [n, r], then its columns, [P, n, r + k]."""
         shared = np.broadcast_to(features, (self.values.shape[2], *features.shape))
         return np.concatenate((shared, self.values.transpose(2, 1, 0)), axis=2)
-
-    def surfaces(self, features_light: Array, gains: Array) -> Array:
-        """Return the light of surfaces [n, P]: F b plus the computed light.
-
-        features_light: F b [n, P]; gains: of the covariates [P, k].
-        """
-        count = self.surface
-        return features_light + np.einsum("knp,pk->np", self.values[:count], gains[:, :count])
 
     def direct(self, gains: Array) -> Array:
         """Return the light of sun patch and window sky, in the unit of `values`, [n, P].
 
-        gains: of the covariates [P, k]; negative ones count as 0.
+        gains: of the columns [P, k]; negative ones count as 0.
         """
         direct = slice(self.surface, None)
         return np.einsum("knp,pk->np", self.values[direct], np.maximum(gains[:, direct], 0.0))
@@ -132,11 +132,11 @@ class Columns:
 class PixelFit:
     """Fitted values of P pixels.
 
-    scale: usual luminance per lx of total light [P]; b: coefficients of the r features, in units of
-    the scale [P, r]; patch_gain, sky_gain: factors on the sun patch and on the sky behind windows
-    [P]; second: weights of the n captures in the second stage [n, P]; computed_gain: factor on the
-    computed light, 0 if it is not used [P]; noise: standard deviation of the log residual over that
-    of the second stage's covariance, the most likely one [P].
+    scale: usual luminance per lx of total light [P] cd/m2/lx; b: coefficients of the r features, in
+    units of the scale [P, r]; patch_gain, sky_gain: factors on the sun patch and on the sky behind
+    windows [P]; second: weights of the n captures in the second stage [n, P]; computed_gain: factor
+    on the computed light, 0 if it is not used [P]; noise: likeliest standard deviation of the log
+    residual, in units of the second stage's covariance [P].
     """
 
     scale: Floats32
@@ -148,18 +148,20 @@ class PixelFit:
     noise: Floats32
 
 
-def for_each_chunk(work: Callable[[slice], None], count: int) -> Iterator[int]:
-    """Call `work(slice)` for chunks of `count` pixels on up to eight cores; yield how many ended.
+def for_each_chunk(work: Callable[[slice], None], count: int, tick: Tick | None = None) -> None:
+    """Call `work` with slices that divide `count` pixels, on up to eight cores.
 
-    Meanwhile BLAS uses one thread, because on systems of a hundred unknowns its threads wait for
-    each other.
+    tick: called after each slice with the number of completed pixels and `count`. BLAS uses one
+    thread here, because on systems of a hundred unknowns its threads wait for each other.
     """
-    # their normal matrices stay in the cache: chunks of 1024 pixels take half as long again
+    # The normal matrices of 128 pixels stay in the cache: chunks of 1024 pixels take 1.5 times as
+    # long.
     parts = [slice(start, min(start + 128, count)) for start in range(0, count, 128)]
     workers = min(os.cpu_count() or 1, 8)  # limits the memory
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(workers) as pool:
         for part, _ in zip(parts, pool.map(work, parts), strict=True):
-            yield part.stop
+            if tick is not None:
+                tick(part.stop, count)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -169,11 +171,12 @@ def for_each_chunk(work: Callable[[slice], None], count: int) -> Iterator[int]:
 def normal_equations(
     basis: Basis, columns: Columns, target: Array, weights: Array, noise: float
 ) -> tuple[Array, Array]:
-    """Return A [P, r + k, r + k] and b [P, r + k] of the normal equations A x = b.
+    """Return matrix [P, r + k, r + k] and right side [P, r + k] of each pixel's normal equations.
 
-    x is the deviation of r coefficients and k gains from their prior mean, and A includes the
-    prior. basis: features that all pixels share; columns: covariates of each of the P pixels;
-    target, weights: [n, P]; noise: variance of a target of weight 1.
+    The unknowns are the deviations of r coefficients and k gains from their prior means, and the
+    matrix includes the prior. basis: features that all pixels share; columns: of each pixel;
+    target: captured luminance over total light and pixel scale [n, P]; weights: of the targets
+    [n, P]; noise: variance of a target of weight 1.
     """
     features, (products, first, second) = basis.values, basis.pairs
     count, r, k = target.shape[1], features.shape[1], len(columns.variance)
@@ -200,8 +203,7 @@ def solve(
 ) -> tuple[Array, Array]:
     """Return the coefficients b [P, r] and the gains [P, k] of every pixel.
 
-    They minimise the sum at the top of this module. basis: features that all pixels share; target,
-    weights: [n, P]; noise: variance of a target of weight 1.
+    They minimise the sum at the top of this module. Arguments: as for `normal_equations`.
     """
     r = basis.values.shape[1]
     matrix, right = normal_equations(basis, columns, target, weights, noise)
@@ -213,9 +215,9 @@ def solve(
 class ChunkFit:
     """The fit of P pixels to n hours.
 
-    columns: covariates; target: captured luminance over total light and pixel scale [n, P];
+    columns: of the pixels; target: captured luminance over total light and pixel scale [n, P];
     response, weights: values that the last solve fitted, and their weights [n, P]; b: coefficients
-    of the features [P, r]; gains: of the k covariates [P, k].
+    of the features [P, r]; gains: of the columns [P, k].
     """
 
     columns: Columns
@@ -225,21 +227,26 @@ class ChunkFit:
     b: Array
     gains: Array
 
-    def light(self, features_light: Array) -> Array:
-        """Return the fitted light, [n, P]; features_light: F b [n, P]."""
-        surfaces = self.columns.surfaces(features_light, self.gains)
-        return np.maximum(surfaces, MIN_SHARE) + self.columns.direct(self.gains)
+    def light(self, basis: Basis) -> Array:
+        """Return the fitted luminance over total light and pixel scale, [n, P].
+
+        basis: the features with which the pixels were fitted.
+        """
+        count = self.columns.surface
+        computed = np.einsum("knp,pk->np", self.columns.values[:count], self.gains[:, :count])
+        surfaces = np.maximum(basis.values @ self.b.T + computed, MIN_SHARE)
+        return surfaces + self.columns.direct(self.gains)
 
 
 def fit_chunk(arrays: TrainingArrays, scale: Array, basis: Basis, noise: float) -> ChunkFit:
-    """Fit some pixels: least relative errors, then robust rounds by Gauss and Newton.
+    """Fit the P pixels of `arrays`: least relative errors, then robust rounds by Gauss and Newton.
 
     Weights 1 / y^2 favour hours in which noise makes y too small: at a noise of 20 % the fit is 6 %
     too dark. Squared log errors, linearised about the fit f, are a ridge problem again, with
     response f (1 + ln(y / f)) and weights 1 / f^2, which robust weights of the log errors multiply.
     The prior also shrinks the level, so a last factor makes the mean signed log error zero. scale:
-    usual luminance of each pixel per lx of total light [P]. arrays, basis: of these pixels and of
-    all; noise: variance of a target of weight 1.
+    usual luminance of each pixel per lx of total light [P]; basis: features that all pixels share;
+    noise: variance of a target of weight 1.
     """
     unit = arrays.light.total_lx[:, None] * scale  # [n, P]
     target = np.maximum(arrays.luminance, MIN_CDM2) / unit
@@ -252,7 +259,6 @@ def fit_chunk(arrays: TrainingArrays, scale: Array, basis: Basis, noise: float) 
     usual = np.exp(np.mean(np.log(target), axis=0))
     dark, response = 0.03 * usual, target
     weights = arrays.trust / np.maximum(target, usual) ** 2
-    # b: coefficients of the basis
     b, gains = solve(basis, columns, response, weights, noise)
     for _ in range(ROUNDS):
         fitted = _fitted(target, basis, b, columns, gains)
@@ -267,18 +273,21 @@ def fit_chunk(arrays: TrainingArrays, scale: Array, basis: Basis, noise: float) 
 
 
 def _fitted(target: Array, basis: Basis, b: Array, columns: Columns, gains: Array) -> Array:
-    """Return the fit [n, P], within a factor of five of the target."""
+    """Return the fitted target [n, P], limited to a factor of five above or below `target` [n, P].
+
+    b [P, r], gains [P, k]: of the features and of the columns. Unlike `ChunkFit.light`, negative
+    gains and dark surfaces remain, because the next round is linearised about this fit.
+    """
     fitted = basis.values @ b.T + np.einsum("knp,pk->np", columns.values, gains)
     return np.clip(fitted, 0.2 * target, 5.0 * target)
 
 
 def fit_pixels(
-    arrays: TrainingArrays, basis: Basis, noise: float, tick: Callable[[int, int], None]
+    arrays: TrainingArrays, basis: Basis, noise: float, tick: Tick | None = None
 ) -> PixelFit:
-    """Fit all P pixels of `arrays`, in chunks that limit the memory; return coefficients by pixel.
+    """Fit all P pixels of `arrays`, in chunks that limit the memory.
 
-    noise: variance of a target of weight 1. tick: called after each chunk with the number of
-    finished pixels and the number of all pixels.
+    noise: variance of a target of weight 1. tick: as for `for_each_chunk`.
     """
     (hours, features), count = basis.values.shape, arrays.luminance.shape[1]
     scale, zeros = pixel_scale(arrays), partial(np.zeros, dtype=np.float32)
@@ -294,32 +303,31 @@ def fit_pixels(
     inverse = second_inverse(arrays)
 
     def fit_part(part: slice) -> None:
-        """Fit a chunk of pixels and store its coefficients, noise and solved residuals in `out`."""
+        """Fit a chunk of pixels and store its fitted values in `out`."""
         chunk = arrays[part]
         fit = fit_chunk(chunk, scale[part], basis, noise)
         out.b[part] = fit.b
-        # gains in the order of `Columns`: computed light first, then sun patch, window sky last
+        # Gains are in the order of `Columns`: computed light, sun patch, window sky last.
         out.sky_gain[part] = np.maximum(fit.gains[:, -1], 0.0)
         if chunk.patch is not None:
             out.patch_gain[part] = np.maximum(fit.gains[:, -2], 0.0)
         if chunk.computed is not None:
             out.computed_gain[part] = fit.gains[:, 0] * chunk.computed.gain
-        fitted = fit.light(basis.values @ fit.b.T)
-        residual = ~chunk.filled * np.log(fit.target / fitted)
+        residual = ~chunk.filled * np.log(fit.target / fit.light(basis))
         out.second[:, part] = inverse @ residual
         out.noise[part] = np.sqrt(np.maximum((residual * out.second[:, part]).mean(axis=0), 0.0))
 
-    for stop in for_each_chunk(fit_part, count):
-        tick(stop, count)
+    for_each_chunk(fit_part, count, tick)
     return out
 
 
 def patch_scale(arrays: TrainingArrays) -> float:
     """Return the factor by which all sun patches must be multiplied to match the captures.
 
-    It is the median of (L - q E) / s over values [n, P] with a clear patch, with luminance L, total
-    light E, patch s and the median q of L / E in the pixel's other hours, of pixels that are lit in
-    half of the hours at most; 1 without such values.
+    It is the median of (L - q E) / s over all hours and pixels with a clear patch: luminance L,
+    total light E, patch s, and q the median of L / E in the pixel's hours without a patch. Compared
+    are pixels with a patch in three hours or more, and in half of the hours at most. The factor is
+    1 without such pixels.
     """
     assert arrays.patch is not None
     if not (arrays.patch > 0.0).any():
@@ -328,11 +336,11 @@ def patch_scale(arrays: TrainingArrays) -> float:
     compared = (lit.sum(axis=0) >= 3) & (lit.mean(axis=0) <= 0.5)
     total = arrays.light.total_lx[:, None]
     ratio = np.where(lit, np.nan, arrays.luminance / total)[:, compared]
-    plain = nan_percentiles(ratio, (50.0,))[0] * total  # [n, some]
-    excess = (arrays.luminance[:, compared] - plain) / np.maximum(arrays.patch[:, compared], 1e-9)
-    values = excess[lit[:, compared]]
-    gain = float(np.median(values)) if len(values) else 1.0
-    return gain if gain > 0.0 else 1.0
+    plain = nan_percentiles(ratio, (50.0,))[0] * total  # q E, [n, compared]
+    factors = (arrays.luminance[:, compared] - plain) / np.maximum(arrays.patch[:, compared], 1e-9)
+    factors = factors[lit[:, compared]]
+    factor = float(np.median(factors)) if len(factors) else 1.0
+    return factor if factor > 0.0 else 1.0
 
 
 # ----------------------------------------------------------------------------------------------
@@ -340,23 +348,24 @@ def patch_scale(arrays: TrainingArrays) -> float:
 
 
 def second_covariance(a: Features, b: Features) -> Array:
-    """Return the covariance of the second stage between hours, [len(a), len(b)], without unit.
+    """Return the second stage's covariance between the hours of `a` and of `b`, [len(a), len(b)].
 
     It is the product of the sun's shares of the total light, times a factor that falls from 1 to 0
-    as the two directions of the sun differ: the second stage corrects the light of the sun.
+    as the two directions of the sun differ, because the second stage corrects the sun's light. It
+    has no unit.
     """
     cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
     return np.outer(a.beam, b.beam) * np.exp((cosine - 1.0) / SECOND_WIDTH**2)
 
 
 def second_inverse(arrays: TrainingArrays) -> Array:
-    """Return the inverse of the second stage's covariance plus noise, between captures, [n, n].
+    """Return the inverse of the second stage's covariance between the captures plus noise, [n, n].
 
     Hours of unsteady or unmeasured light, and of a faint beam, have more noise.
     """
-    own = second_covariance(arrays.features, arrays.features)
-    sureness = weight_of_variance(arrays.unsure + beam_variance(arrays.light))
-    return np.linalg.inv(own + np.diag(SECOND_NOISE / sureness))
+    covariance = second_covariance(arrays.features, arrays.features)
+    weights = weight_of_variance(arrays.unsure + beam_variance(arrays.light))
+    return np.linalg.inv(covariance + np.diag(SECOND_NOISE / weights))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -368,10 +377,10 @@ class HeldOutFit:
     """Each of n captured hours, predicted by a fit to the captures of all other days.
 
     luminance: predicted [n, P] cd/m2; error: log10 of predicted over captured luminance, where
-    values below 1 cd/m2 count as 1, and 0 at values without truth [n, P]; scale: each pixel's mean
-    luminance per lx of total light [P]; errors: by which fits are compared: of log10 luminance
-    alone, of all hours. Ranked by DGP, or without the hours of the largest errors, fits of a
-    rendered room had up to three times the log10 MSE over a year.
+    values below 1 cd/m2 count as 1, and 0 where the captured value has no weight [n, P]; scale:
+    each pixel's mean luminance per lx of total light [P]; errors: those by which fits are compared,
+    of log10 luminance alone and of all hours. Ranked by DGP, or without the hours of the largest
+    errors, fits of a rendered room had up to three times the log10 MSE over a year.
     """
 
     luminance: Array
@@ -391,22 +400,23 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     predicted, target = (np.empty(arrays.luminance.shape) for _ in range(2))
 
     def predict_part(part: slice) -> None:
-        some = _hold_out_some(arrays[part], scale[part], basis, noise)
-        predicted[:, part], target[:, part] = some
+        results = _hold_out_chunk(arrays[part], scale[part], basis, noise)
+        predicted[:, part], target[:, part] = results
 
-    for _ in for_each_chunk(predict_part, len(scale)):
-        pass
+    for_each_chunk(predict_part, len(scale))
     residual = ~arrays.filled * np.log(target / predicted)
     inverse = second_inverse(arrays)
     solved = inverse @ residual
     for day in np.unique(arrays.days):
         rows = np.flatnonzero(arrays.days == day)
-        held_out = np.linalg.solve(inverse[np.ix_(rows, rows)], solved[rows])
-        predicted[rows] *= np.exp(residual[rows] - held_out)
+        # Log residual of the day minus its prediction by the second stage from the other days.
+        unexplained = np.linalg.solve(inverse[np.ix_(rows, rows)], solved[rows])
+        predicted[rows] *= np.exp(residual[rows] - unexplained)
     luminance = predicted * arrays.light.total_lx[:, None] * scale
     # Scores count values below 1 cd/m2 as 1 (floor of the paper).
-    floored = (np.maximum(values, 1.0) for values in (luminance, arrays.luminance))
-    log10_predicted, log10_captured = (np.log10(values) for values in floored)
+    log10_predicted, log10_captured = (
+        np.log10(np.maximum(values, 1.0)) for values in (luminance, arrays.luminance)
+    )
     error = ~arrays.filled * (log10_predicted - log10_captured)
     unknown, log10 = np.full(len(luminance), np.nan), (error**2).mean(axis=1)
     errors = HeldOutErrors(
@@ -415,26 +425,27 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     return HeldOutFit(luminance=luminance, error=error, scale=scale, errors=errors)
 
 
-def _hold_out_some(
+def _hold_out_chunk(
     arrays: TrainingArrays, scale: Array, basis: Basis, noise: float
 ) -> tuple[Array, Array]:
-    """Return light predicted without the second stage, and captured light, [n, P] each.
+    """Return the light predicted from other days, without second stage, and the captured light.
 
-    Both are divided by the total light and by `scale`, so about 1. With hat matrix H = X A^-1 X' W
-    of the full fit, residuals e and a day's rows D, the residuals without the day are d = (1 -
-    H_DD)^-1 e_D (block form of the leave-one-out identity), and the fit without the day is the full
-    fit minus A^-1 X_D' W_D d. Features and weights are those of the full fit. arrays, scale, basis,
-    noise: as for `fit_chunk`.
+    Both are [n, P], divided by the total light and by `scale`, so about 1. With hat matrix H = X
+    A^-1 X' W of the full fit, residuals e and a day's rows D, the residuals without the day are d =
+    (1 - H_DD)^-1 e_D (block form of the leave-one-out identity), and the fit without the day is the
+    full fit minus A^-1 X_D' W_D d. Features and weights are those of the full fit. arrays, scale,
+    basis, noise: as for `fit_chunk`.
     """
     fit = fit_chunk(arrays, scale, basis, noise)
     unit = arrays.light.total_lx[:, None] * scale
-    features = basis.values.shape[1]  # r of the docstrings
+    r = basis.values.shape[1]
     perez = Columns.of(arrays, unit, None if arrays.computed is None else arrays.computed.perez)
     design, wanted = fit.columns.design(basis.values), perez.design(basis.assumed)
     matrix, right = normal_equations(basis, fit.columns, fit.response, fit.weights, noise)
     rights = np.concatenate((right[:, :, None], design.transpose(0, 2, 1)), axis=2)
     solved = np.linalg.solve(matrix, rights)
     solution, precision = solved[:, :, 0], fit.weights.T / noise
+    # Gains of 1 are the prior mean, from which `solution` deviates.
     rest = (fit.response - fit.columns.values.sum(axis=0)).T
     residual = rest - np.einsum("pna,pa->pn", design, solution)
     out = np.empty(residual.shape)  # [P, n]
@@ -444,7 +455,7 @@ def _hold_out_some(
         errors = np.linalg.solve(np.eye(len(rows)) - hat, residual[:, rows, None])  # [P, d, 1]
         change = solved[:, :, 1 + rows] @ (precision[:, rows, None] * errors)  # [P, r + k, 1]
         deviation = solution - change[:, :, 0]
-        deviation[:, features:] += 1.0  # of gains, whose prior mean is 1
+        deviation[:, r:] += 1.0  # of gains, whose prior mean is 1
         out[:, rows] = np.einsum("pda,pa->pd", wanted[:, rows], deviation)
     # Sun patch and window sky have the gains of the full fit; negative gains count as 0.
     added = slice(perez.surface, None)

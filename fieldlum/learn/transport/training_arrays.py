@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from fieldlum.learn.models.training_data import Dataset
 
 MIN_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
-# Weights of the cells and of their sum beside the sun's light in a coarse model of the room, whose
+# Weights of the cells and of their sum next to the sun's light in a coarse model of the room, whose
 # variance is 5 (`Kernel.bounced`): variances of 0.5 and 1. Not measured.
 CELL_WEIGHT, FLUX_WEIGHT = float(np.sqrt(0.1)), float(np.sqrt(0.2))
 
@@ -53,11 +53,11 @@ class StateColumns:
         return cls(False, lamps, tuple(part for part in parts if part not in lamps))
 
     def features(self, light: Light) -> Features:
-        """Return the features of the hours of `light`, with these states."""
+        """Return the features of the hours of `light`, with columns for these states."""
         features, states = light_features(light), light.states or ("",) * len(light)
         if self.always or self.lamps:
-            lit = np.array([float(OFF not in text) for text in states])[:, None]
-            on = np.hstack((lit[:, : int(self.always)], indicators(states, self.lamps)))
+            always = np.array([float(OFF not in text) for text in states])[:, None]
+            on = np.hstack((always[:, : int(self.always)], indicators(states, self.lamps)))
             features = replace(features, lamps=on * (LAMP_LX / light.total_lx)[:, None])  # [n, l]
         if self.changed:
             features = replace(features, changed=indicators(states, self.changed))
@@ -97,11 +97,12 @@ def open_sky_from_captures(
 ) -> OpenSky:
     """Find the window pixels without any geometry: they follow the Perez sky behind them.
 
-    luminance, patch: of captures and of sun patches [n, P] cd/m2, patch is None if unknown; rays:
-    unit vectors of the pixels [P, 3]. A pixel above the horizon is a window if, over the hours, the
-    logarithm of luminance over sky scatters less than half as much as that of luminance over total
-    light, and luminance over sky is that of glass (0.05 to 1.2). Its `share` is the 10th
-    percentile of luminance over sky, so that the sky rarely exceeds the captured luminance.
+    luminance, patch: luminance of captures and of sun patches [n, P] cd/m2, patch is None if
+    unknown; rays: unit vectors of the pixels [P, 3]. A pixel above the horizon is a window if, over
+    the hours, the logarithm of luminance over sky scatters less than half as much as that of
+    luminance over total light, and luminance over sky is that of glass (0.05 to 1.2). Its `share`
+    is the 10th percentile of luminance over sky, so that the sky rarely exceeds the captured
+    luminance.
     """
     above = np.flatnonzero(rays[:, 2] > 0.0)
     captured = np.maximum(luminance[:, above], MIN_CDM2)
@@ -109,15 +110,15 @@ def open_sky_from_captures(
     plain = np.log(captured / light.total_lx[:, None].astype(np.float32))
     if patch is not None:
         lit = patch[:, above] > 0.3 * captured
-        lit[:, lit.all(axis=0)] = False  # a pixel without any other hour is no window below
+        lit[:, lit.all(axis=0)] = False  # avoids pixels without any value; they are no windows
         ratio, plain = np.where(lit, np.nan, ratio), np.where(lit, np.nan, plain)
     low, middle, high = nan_percentiles(ratio, (10, 50, 90))
     spread = np.subtract(*nan_percentiles(plain, (90, 10)))
     share = np.exp(low)
     # A window pixel follows the sky behind it twice as well as the total light, and shows at least
     # 5 % of that sky; other pixels count as surfaces.
-    keep = (high - low < 0.5 * spread) & (share > 0.05) & (middle < np.log(1.2))
-    return OpenSky(above[keep], share[keep].astype(np.float32), rays[above[keep]])
+    window = (high - low < 0.5 * spread) & (share > 0.05) & (middle < np.log(1.2))
+    return OpenSky(above[window], share[window].astype(np.float32), rays[above[window]])
 
 
 # ----------------------------------------------------------------------------------------------
@@ -126,10 +127,11 @@ def open_sky_from_captures(
 
 @dataclass(frozen=True, slots=True)
 class PatchLight:
-    """How maps of sun patches become features of an hour: their light in cells, and all of it.
+    """How maps of sun patches become features of an hour: their light in each cell, and its sum.
 
-    norms: divisors, from the captured hours, with which the features are about one when the sun is
-    in the room, for the cells and for their sum [2].
+    A cell is a rectangle of pixels of the map (`_in_cells`). norms: divisors from the captured
+    hours, for the cells and for their sum [2], with which the features are about 1 when the sun is
+    in the room.
     """
 
     norms: Array
@@ -151,15 +153,16 @@ class PatchLight:
         return cls(np.maximum(np.percentile(share, 75, axis=1), 0.1 * share.max(axis=1)))
 
     def features(self, patch: Floats, light: Light, window: Mask) -> Floats32:
-        """Return light of sun patches over total light: of c cells, and last of all, [n, c + 1].
+        """Return the light of sun patches over total light, in c cells and, last, its sum.
 
-        Both are scaled by `norms` and their weights. patch: luminance of sun patches [n, H, W]
-        cd/m2; window: mask [H, W], True at window pixels, which do not count.
+        The result is [n, c + 1], scaled by `norms` and by the weights of cells and sum. patch:
+        luminance of sun patches [n, H, W] cd/m2; window: mask [H, W], True at window pixels, which
+        do not count.
         """
         cells = _patch_cells(patch, window)
         flux = (cells @ _cell_roots(patch.shape))[:, None]  # the roots by which cells are divided
         both = np.hstack((CELL_WEIGHT * cells / self.norms[0], FLUX_WEIGHT * flux / self.norms[1]))
-        both[light.direct_lx == 0.0] = 0.0  # of a sun that no instrument measured
+        both[light.direct_lx == 0.0] = 0.0  # patches of a sun that no instrument measured
         return (both / light.total_lx[:, None]).astype(np.float32)
 
 
@@ -174,12 +177,15 @@ def _in_cells(picture: Floats) -> Floats:
 
 
 def _cell_roots(shape: tuple[int, ...]) -> Floats:
-    """Return the root of each cell's solid angle, [c]; shape: of the maps, [..., H, W]."""
+    """Return the square root of each cell's solid angle, [c]; shape: of the maps, [..., H, W]."""
     return np.sqrt(_in_cells(equirect_solid_angles(*shape[-2:])))
 
 
 def _patch_cells(patch: Floats, window: Mask) -> Floats:
-    """Return the light of sun patches in each cell over the root of its solid angle, [n, c]."""
+    """Return the light of sun patches in each cell over the root of its solid angle, [n, c].
+
+    patch: luminance of sun patches [n, H, W] cd/m2; window: mask of pixels that do not count.
+    """
     weights = np.where(window, 0.0, equirect_solid_angles(*window.shape))
     # Pixels brighter than a sunlit white wall (3e4 cd/m2) show a window or a disc.
     lit = (np.minimum(picture, 3e4) * weights for picture in patch)
@@ -194,10 +200,9 @@ def _patch_cells(patch: Floats, window: Mask) -> Floats:
 class ComputedLight:
     """Luminance that was computed for the room in SITE.toml, at n hours and P pixels.
 
-    luminance: of surfaces, without direct sun on them [n, P] cd/m2, at the level of the captures;
-    perez: the same under Perez's skies, as a year is predicted, where `luminance` is under the
-    skies that captures show through the windows; gain: captured over computed luminance of each
-    pixel, 0 at window pixels [P], which both contain.
+    luminance: of surfaces, without direct sun on them, under the skies of the fit [n, P] cd/m2;
+    perez: the same under Perez's skies, as a year is predicted [n, P] cd/m2; gain: captured over
+    computed luminance of each pixel, 0 at window pixels [P], by which both are already multiplied.
     """
 
     luminance: Floats32
@@ -213,12 +218,14 @@ class ComputedLight:
 class TrainingArrays:
     """Captures as arrays for the solver: n hours, and the P pixels that the lens saw.
 
-    luminance: captured [n, P] cd/m2; patch: luminance of sun patches [n, P] cd/m2, None if they are
-    not used; sky: light of the sky through windows [n, P] cd/m2; filled: values without weight,
-    where a blind may hide a patch, or merge flagged [n, P]; trust: weight of each value by
-    irradiance, flags and uncertainty, 0 to 1 [n, P]; weights: solid angles [P]; unsure: relative
-    variance of the irradiance (`light_variance`) [n]; computed: light of the stated room, None if
-    it is not used.
+    features: of `light`, as the kernel compares them; luminance: captured [n, P] cd/m2; patch:
+    luminance of sun patches [n, P] cd/m2, None if they are not used; sky: light of the sky through
+    windows [n, P] cd/m2; filled: True for values without weight, because a blind may hide a patch
+    there or `merge` flagged them [n, P]; trust: weight of each value by irradiance, flags and
+    uncertainty, 0 to 1 [n, P]; weights: solid angles over their mean [P]; days: dates [n]; unsure:
+    relative variance of the irradiance (`light_variance`) [n]; open_sky: the window pixels;
+    facades: walls that let light in; states: the room's marked states; computed: light of the
+    stated room, None if it is not used.
     """
 
     light: Light
@@ -242,12 +249,15 @@ class TrainingArrays:
         return weight_of_variance(self.unsure)
 
     def under(self, sky_cdm2: Floats32) -> TrainingArrays:
-        """Return the arrays with the features of other skies than Perez's, [n, 2305] cd/m2."""
+        """Return the arrays with the features of other skies than Perez's.
+
+        sky_cdm2: luminance of the sky patches in each hour [n, 2305] cd/m2.
+        """
         sky = self.light.sky_features(sky_cdm2)
         return replace(self, features=replace(self.features, sky=sky))
 
     def __getitem__(self, pixels: Indices | slice) -> TrainingArrays:
-        """Return the arrays of some pixels."""
+        """Return the arrays of the pixels that indices or a slice select, at all hours."""
         names = ("luminance", "patch", "sky", "filled", "trust", "weights")
         every = {name: getattr(self, name) for name in names}
         selected = {name: v[..., pixels] for name, v in every.items() if v is not None}
@@ -292,7 +302,7 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
 
 
 def _patches_unknown(data: Dataset) -> Mask:
-    """Mark the pixels that a computed sun patch reaches behind a blind or a tint, [n, H, W]."""
+    """Return a mask [n, H, W], True where a blind or a tint may hide a computed sun patch."""
     out = np.zeros(data.luminance_cdm2.shape, bool)
     if data.patch_cdm2 is None or data.light.states is None:
         return out
@@ -318,39 +328,37 @@ def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
         unlit &= arrays.patch <= 0.3 * luminance
     logs = np.log(np.maximum(luminance - direct, 0.02 * luminance) / total)
     count = unlit.sum(axis=0)
-    mean = np.where(unlit, logs, 0.0).sum(axis=0) / np.maximum(count, 1)
-    many = count >= 3
+    mean = np.where(unlit, logs, 0.0).sum(axis=0) / np.maximum(count, 1)  # [P]
+    many = count >= 3  # a mean of three hours is taken as it is
     if not many.any():
         return np.exp(np.where(count > 0, mean, np.median(logs)))
     low, middle, high = np.percentile(mean[many], (1, 50, 99))
     return np.exp(np.where(many, mean, np.where(count > 0, np.clip(mean, low, high), middle)))
 
 
-def computed_light(
-    arrays: TrainingArrays, luminance: Floats32, perez: Floats32 | None = None
-) -> ComputedLight:
-    """Return computed luminance [n, P] cd/m2 at the level that the captures show at each pixel.
+def computed_light(arrays: TrainingArrays, luminance: Floats32, perez: Floats32) -> ComputedLight:
+    """Return computed luminance at the level that the captures show at each pixel.
 
-    The gain is captured over computed luminance, limited to a factor of 20 below or above the
-    median of all pixels. perez: see `ComputedLight`, None if `luminance` is under Perez's skies.
-    luminance: computed [n, P] cd/m2.
+    luminance, perez: computed under the skies of the fit and under Perez's [n, P] cd/m2. The gain
+    is captured luminance over `luminance`, limited to a factor of 20 below or above the median of
+    all pixels.
     """
     # Any wall by day is far brighter than 1e-3 cd/m2, below which computed light has no meaning.
     gain = pixel_scale(arrays, np.maximum(luminance, np.float32(1e-3)))
     middle = np.median(gain)
     gain = np.clip(gain, middle / 20.0, middle * 20.0).astype(np.float32)  # black to white
     gain[arrays.open_sky.index] = 0.0
-    scaled = luminance * gain
-    return ComputedLight(scaled, scaled if perez is None else perez * gain, gain)
+    return ComputedLight(luminance * gain, perez * gain, gain)
 
 
 # ----------------------------------------------------------------------------------------------
 # skies that windows show
 
 
-# Chord over which clouds change the ratio, and noise over the field's standard deviation: the best
-# of six pairs in mitsuba_a; the likeliest of each room (0.1 to 1.0, 0.01 to 0.25) is no better.
-WIDTH, NOISE_SHARE = 0.3, 0.2
+# Distance between two unit vectors over which clouds change the ratio to Perez's sky, and standard
+# deviation of a ratio's noise over that of the field: the best of six pairs in the room mitsuba_a;
+# the likeliest pair of each room (0.1 to 1.0, 0.01 to 0.25) is no better.
+CLOUD_WIDTH, NOISE_SHARE = 0.3, 0.2
 
 
 def seen_sky(arrays: TrainingArrays) -> Floats32 | None:
@@ -371,15 +379,15 @@ def seen_sky(arrays: TrainingArrays) -> Floats32 | None:
     perez = arrays.light.sky_cdm2
     horizontal = patches.solid_angles_sr * patches.directions[:, 2]  # [2305] sr
     sky = perez * factor
-    kept = (perez @ horizontal) / np.maximum(sky @ horizontal, MIN_CDM2)  # [n]
-    return (sky * kept[:, None]).astype(np.float32)
+    level = (perez @ horizontal) / np.maximum(sky @ horizontal, MIN_CDM2)  # [n]
+    return (sky * level[:, None]).astype(np.float32)
 
 
 def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
-    """Return ln of seen over usual luminance of k sky patches, and the patches' directions.
+    """Return how much brighter than usual windows showed k sky patches, and their directions.
 
-    They are [n, k] and [k, 3], for the patches that windows show; NaN if a capture does not show a
-    patch.
+    The first is ln of the patch's ratio to Perez's sky over its median in the captures [n, k], NaN
+    where a capture does not show the patch; the second are unit vectors [k, 3].
     """
     window = arrays.open_sky.index
     perez = arrays.sky[:, window]  # [n, w]
@@ -399,23 +407,23 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     ratios = ratios - np.nanmedian(ratios, axis=0)  # [n, w]
     everywhere = reinhart_patches().directions
     nearest = np.argmax(arrays.open_sky.directions[often] @ everywhere.T, axis=1)  # [w]
-    names, member = np.unique(nearest, return_inverse=True)
-    of_patch = np.eye(len(names))[member]  # [w, k]
+    patches, member = np.unique(nearest, return_inverse=True)
+    of_patch = np.eye(len(patches))[member]  # 1 where window pixel w shows patch k, [w, k]
     counts, sums = valid @ of_patch, np.where(valid, ratios, 0.0) @ of_patch
     means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    used = evenly_spread(len(names), 80)  # patches that are used; limits the time
-    return means[:, used], everywhere[names[used]]
+    used = evenly_spread(len(patches), 80)  # limits the time
+    return means[:, used], everywhere[patches[used]]
 
 
 def _interpolated(ratios: Array, directions: Array, wanted: Array) -> Array:
-    """Return the ln ratio to expect in the directions `wanted` [m, 3], for n captures, [n, m].
+    """Return the ratios of `_patch_ratios` to expect in the directions `wanted` [m, 3], [n, m].
 
-    ratios: ln of seen over usual luminance [n, k], NaN where a capture does not show the patch;
-    directions: unit vectors of these patches [k, 3]. The ratio is taken for a Gaussian field that
-    is smooth in direction.
+    ratios: ln of seen over usual luminance of k sky patches in n captures [n, k], NaN where a
+    capture does not show the patch; directions: unit vectors of these patches [k, 3]. The ratio is
+    treated as a Gaussian field that is smooth in direction and returns to 0.
     """
     shown = np.isfinite(ratios)  # [n, k]
-    own, cross = (np.exp((directions @ b.T - 1.0) / WIDTH**2) for b in (directions, wanted))
+    own, cross = (np.exp((directions @ b.T - 1.0) / CLOUD_WIDTH**2) for b in (directions, wanted))
     noise = np.where(shown, NOISE_SHARE**2, 1e6)  # [n, k]
     covariance = own + noise[:, :, None] * np.eye(len(directions))
     weights = np.linalg.solve(covariance, np.where(shown, ratios, 0.0)[:, :, None])[:, :, 0]
