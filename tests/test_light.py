@@ -14,7 +14,6 @@ from fieldlum.sky.daylight_kernel import (
     Facades,
     Kernel,
     facades_of,
-    facades_unknown,
     greedy_hours,
     light_features,
 )
@@ -37,7 +36,7 @@ def one_facade(azimuth_deg: float) -> Facades:
     return Facades(np.array([azimuth_deg % 360.0]), np.ones(1))
 
 
-KERNELS = [Kernel(one_facade(180)), Kernel(facades_unknown())]
+KERNELS = [Kernel(one_facade(180)), Kernel(facades_of(None))]
 
 
 @pytest.mark.analytic

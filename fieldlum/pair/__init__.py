@@ -1,7 +1,8 @@
 """Pair every panorama with its irradiance, its sun and its sun patch (`fieldlum pair`).
 
-`interval` computes the irradiance during the bracket, `sun_strength` the sun's illuminance at the
-lens, `sky_view` where the camera sees the sky; this file runs the stage and traces the sun patches.
+`bracket_irradiance` computes the irradiance during the bracket, `sun_strength` the sun's
+illuminance at the lens, `sky_view` where the camera sees the sky; this file runs the stage and
+traces the sun patches.
 """
 
 from collections import Counter
@@ -9,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -69,11 +71,12 @@ class BracketInterval:
 
 
 def merged_brackets(session: Session) -> list[BracketInterval]:
-    """Return every panorama in order of time, with the interval of its capture.json.
+    """Return the bracket of every panorama, in order of time, compared with the others.
 
-    Without a capture.json the interval is half a minute. Brackets that share frames are marked: a
-    card was imported twice with two clock offsets, and at least one of the two slots is wrong.
-    `camera` is set for brackets of another one than that of most brackets.
+    The times are those of its capture.json, without one half a minute around the panorama's time.
+    `double_of` is set for brackets that share frames: a card was imported twice with two clock
+    offsets, and at least one of the two slots is wrong. `camera` is set only where it differs from
+    the camera of most brackets. Raises InputError for a panorama whose time is unknown.
     """
     brackets = [_bracket_of(session, path) for path in session.panorama_files()]
     slots_of: dict[str, list[str]] = {}
@@ -92,7 +95,10 @@ def merged_brackets(session: Session) -> list[BracketInterval]:
 
 
 def _bracket_of(session: Session, path: Path) -> BracketInterval:
-    """Return the interval and quality of the bracket of a panorama."""
+    """Return the times and quality of a panorama's bracket, by capture.json and sidecar.
+
+    Raises InputError if neither these nor the panorama's name `path` state a time.
+    """
     slot = path.stem
     capture = CaptureFile.find(session.capture_file(slot))
     sidecar = Sidecar.find(session.sidecar(slot))
@@ -123,10 +129,11 @@ def _bracket_of(session: Session, path: Path) -> BracketInterval:
 def judge(
     bracket: BracketInterval, light: BracketIrradiance, altitude_deg: float, azimuth_deg: float
 ) -> PairRow:
-    """Return the row of pairs.csv for a bracket.
+    """Return the row of pairs.csv for a bracket, with the verdict on whether it may be used.
 
-    altitude_deg (true), azimuth_deg (clockwise from north): of the sun at its middle. `ok` is False
-    if the row must not be used; `why` has the reason, or doubts about a usable row.
+    light: irradiance during the bracket; altitude_deg (true), azimuth_deg (clockwise from north):
+    of the sun at its middle. `ok` is False if the row must not be used; `why` has the reason, or
+    doubts about a usable row.
     """
     why = light.why
     top_wm2 = sun.extraterrestrial_wm2([bracket.t_utc])[0]
@@ -166,6 +173,7 @@ def judge(
 
 
 def _joined(*texts: str) -> str:
+    """Return the texts that are not empty, separated by semicolons."""
     return "; ".join(text for text in texts if text)
 
 
@@ -222,9 +230,11 @@ def _complete_suns(
     force: bool,
     scheduler: Scheduler,
 ) -> list[PairRow]:
-    """Write sky_view.exr and suns.csv, and with a room the patches; return the completed rows.
+    """Write sky_view.exr, suns.csv and, with a room, the sun patches; return the completed rows.
 
-    A sun that the picture does not measure gets DNI times the share of the beam by the sky view.
+    brackets, rows: the usable ones, in one order. The rows get the path of their sun patch and
+    cautions about the sun. A sun that the picture does not measure gets the illuminance of DNI
+    times the share of the beam by the sky view.
     """
     light = _light(session, brackets, rows)
     expected = zip(light.direct_lx, light.apparent_altitude_deg, strict=True)
@@ -252,26 +262,20 @@ def _complete_suns(
 
 
 def _light(session: Session, brackets: Sequence[BracketInterval], rows: Sequence[PairRow]) -> Light:
-    """Return the light outside of usable rows, with the room's states by their marks."""
+    """Return the light outside at the rows, with the room's states by the marks of their slots."""
     marked = marks(session)
     states = tuple(marked.get(bracket.slot, "") for bracket in brackets)
-    numbers = [(r.dni_wm2, r.dhi_wm2, r.sun_altitude_deg, r.sun_azimuth_deg) for r in rows]
-    dni, dhi, altitude, azimuth = np.array(numbers).reshape(-1, 4).T
-    return Light(
-        t_utc=tuple(row.t_utc for row in rows),
-        dni_wm2=dni,
-        dhi_wm2=dhi,
-        sun_altitude_deg=altitude,
-        sun_azimuth_deg=azimuth,
-        states=states if any(states) else None,
-    )
+    names = ("dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg")
+    columns: dict[str, Any] = {n: np.array([getattr(r, n) for r in rows], float) for n in names}
+    t_utc = tuple(row.t_utc for row in rows)
+    return Light(t_utc=t_utc, **columns, states=states if any(states) else None)
 
 
 def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: float) -> Shown:
-    """Return the sun and the seen pixels of a bracket's panorama; a caution if it is not readable.
+    """Return what a bracket's panorama shows; of an unreadable one only a caution.
 
-    full_normal_lx: illuminance of the unhidden disc, on a plane normal to it; altitude_deg: of the
-    apparent sun.
+    full_normal_lx: illuminance of the unhidden disc, on a plane normal to it; altitude_deg:
+    apparent altitude of the sun.
     """
     warn_if_changed(bracket.panorama)
     try:
@@ -295,8 +299,8 @@ def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: flo
 # ----------------------------------------------------------------------------------------------
 # sun patches
 
-# number of slots in a unit; few are enough, because the room's rays are traced once per process;
-# chosen
+# Slots in a unit of work. Few are enough, because the room's rays are traced once per process.
+# Chosen.
 SLOTS_A_UNIT = 16
 
 
@@ -308,28 +312,29 @@ def write_patches(
     force: bool,
     scheduler: Scheduler,
 ) -> list[str]:
-    """Compute sunpatches/<slot>.exr of n slots; return their paths in the session, "" without room.
+    """Write sunpatches/<slot>.exr of n brackets; return the paths in the session, "" without room.
 
-    light : of the n slots. Existing patches are used again unless `force`.
+    light : at the n brackets. A patch that exists for the same room, camera and sun is used again
+    unless `force`. scheduler : where the others are computed.
     """
     if setup.room is None or not brackets:
         return [""] * len(brackets)
     first = read_panorama(brackets[0].panorama)
-    size = (first.luminance_cdm2.shape[0], first.heading_deg)
-    common = [plain(setup.room), plain(setup.camera), *size, patch_rays(size[0])]
+    height = first.luminance_cdm2.shape[0]
+    common = [plain(setup.room), plain(setup.camera), height, first.heading_deg, patch_rays(height)]
     suns = (light.apparent_altitude_deg, light.sun_azimuth_deg, light.direct_lx)
     recipes, missing = [], []
     for k, (bracket, altitude, azimuth, lx) in enumerate(zip(brackets, *suns, strict=True)):
         recipe = digest([*common, round(float(altitude), 4), round(float(azimuth), 4), f"{lx:.5g}"])
         recipes.append((bracket.slot, recipe))
-        files = (session.sunpatch_sidecar(bracket.slot), session.sunpatch(bracket.slot))
-        note = None if force else current_note(files[0], recipe, files[1:])
-        if note is None or note.get("sha256") != sha256(files[1]):
+        sidecar, patch = session.sunpatch_sidecar(bracket.slot), session.sunpatch(bracket.slot)
+        note = None if force else current_note(sidecar, recipe, [patch])
+        if note is None or note.get("sha256") != sha256(patch):
             missing.append(k)
     units = []
     for first_k in range(0, len(missing), SLOTS_A_UNIT):
         job = missing[first_k : first_k + SLOTS_A_UNIT]
-        argument = ([recipes[k] for k in job], light[job], size)
+        argument = ([recipes[k] for k in job], light[job], (height, first.heading_deg))
         name, toml = f"sun-patches-{recipes[job[0]][0]}", (session.toml.name,)
         units.append(WorkUnit(name, trace_patches, session.root, argument, toml))
     run_each(units, scheduler, UnitOutcome.result)

@@ -13,11 +13,11 @@ from fieldlum.session.files.irradiance_csv import MEASURED, CleanIrradiance
 class BracketIrradiance:
     """Outdoor irradiance during a bracket; NaN is unknown.
 
-    why: the reason that this irradiance must not be used, or ""; caution: a doubt about it, or
-    ""; doubtful: whether it is too uncertain to judge pictures by.
-    ghi_wm2, dhi_wm2, dni_wm2: means of global and diffuse horizontal and direct normal
-    irradiance. steadiness: (max - min) / mean of the global; 0 is perfectly steady. source:
-    where the values come from. rows: number of irradiance rows in the interval.
+    ghi_wm2, dhi_wm2, dni_wm2: means of global and diffuse horizontal and direct normal irradiance.
+    steadiness: (max - min) / mean of the global; 0 is perfectly steady. source: instrument or model
+    of the values. rows: number of irradiance rows in the means. why: the reason that this
+    irradiance must not be used, or ""; caution: a doubt about it, or ""; doubtful: whether it is
+    too uncertain to judge pictures by.
     """
 
     ghi_wm2: float = np.nan
@@ -41,53 +41,56 @@ def irradiance_during(
     intervals from a usable row, if diffuse is above global, or if global changed by over 50 % (and
     over 10 W/m2), so that its frames saw different light; from 10 % on this is a caution.
     """
-    start, end = opened.timestamp(), closed.timestamp()
-    every = max(log.every_s(start), 1.0)
+    start_s, end_s = opened.timestamp(), closed.timestamp()
+    every_s = max(log.every_s(start_s), 1.0)
     usable = np.isfinite(log.dni_wm2) & np.isfinite(log.dhi_wm2)
-    first, last = np.searchsorted(log.t_unix_s, (start - 2.0 * every, end + 2.0 * every))
+    first, last = np.searchsorted(log.t_unix_s, (start_s - 2.0 * every_s, end_s + 2.0 * every_s))
     near = slice(max(int(first) - 1, 0), int(last) + 1)
-    stale = _worst_distance_s(log.t_unix_s[near][usable[near]], start, end)
-    if every > 900.0:
-        return BracketIrradiance(why=f"irradiance was logged only every {every:.0f} s")
-    if stale > 2.0 * every + 1.0:
-        return BracketIrradiance(why=_stale_text(log, near, start, end, stale))
-    inside = usable & (log.t_unix_s >= start) & (log.t_unix_s <= end)
+    distance_s = _worst_distance_s(log.t_unix_s[near][usable[near]], start_s, end_s)
+    if every_s > 900.0:
+        return BracketIrradiance(why=f"irradiance was logged only every {every_s:.0f} s")
+    if distance_s > 2.0 * every_s + 1.0:
+        return BracketIrradiance(why=_missing_text(log, near, start_s, end_s, distance_s))
+    inside = usable & (log.t_unix_s >= start_s) & (log.t_unix_s <= end_s)
     if inside.sum() < 3:
-        inside = usable & (log.t_unix_s >= start - every) & (log.t_unix_s <= end + every)
+        inside = usable & (log.t_unix_s >= start_s - every_s) & (log.t_unix_s <= end_s + every_s)
     return _statistics(log, inside)
 
 
-def _worst_distance_s(t_unix_s: Floats, start: float, end: float) -> float:
-    """Return the largest distance of a time in [start, end] from a row [s].
+def _worst_distance_s(t_unix_s: Floats, start_s: float, end_s: float) -> float:
+    """Return the distance [s] of the nearest row, at the time of a bracket where it is largest.
 
-    Infinite without rows. t_unix_s: of the rows [n].
+    t_unix_s: of the rows [n]; start_s, end_s: of the bracket, unix time. Infinite without rows.
     """
     if len(t_unix_s) == 0:
         return float("inf")
+    # the distance is largest at an end of the bracket, or half way between two rows
     middles = (t_unix_s[1:] + t_unix_s[:-1]) / 2.0
-    moments = np.r_[start, end, middles[(middles > start) & (middles < end)]]
+    moments = np.r_[start_s, end_s, middles[(middles > start_s) & (middles < end_s)]]
     return float(np.abs(moments[:, None] - t_unix_s).min(axis=1).max())
 
 
-def _stale_text(log: CleanIrradiance, near: slice, start: float, end: float, stale: float) -> str:
-    """Return why a bracket has no irradiance.
+def _missing_text(
+    log: CleanIrradiance, near: slice, start_s: float, end_s: float, distance_s: float
+) -> str:
+    """Return why a bracket has no irradiance: the marks of its rows, or that there are none.
 
-    near: rows around it; start, end: of the bracket, unix time [s]; stale: how far the nearest
-    usable row is from a time in it [s], infinite without one.
+    near: rows around it; start_s, end_s: of the bracket, unix time; distance_s: by
+    `_worst_distance_s`, of usable rows.
     """
-    within = (log.t_unix_s[near] >= start - 60.0) & (log.t_unix_s[near] <= end + 60.0)
+    within = (log.t_unix_s[near] >= start_s - 60.0) & (log.t_unix_s[near] <= end_s + 60.0)
     words = {word for text in log.flags[near][within] for word in str(text).split()}
     if flags := sorted(words - {"gap", "low-sun"}):
         return f"irradiance unusable: {' '.join(flags)}"
-    if not np.isfinite(stale):
+    if not np.isfinite(distance_s):
         return "no irradiance"
-    return f"no irradiance at that time, the nearest row is {stale:.0f} s away"
+    return f"no irradiance at that time, the nearest row is {distance_s:.0f} s away"
 
 
 def _statistics(log: CleanIrradiance, rows: Mask) -> BracketIrradiance:
-    """Return mean irradiance and steadiness (range over mean of the global) of the masked rows.
+    """Return the means of the masked rows, at least one, with their steadiness and cautions.
 
-    rows: at least one. Its source is what a component was computed from, if any row has one.
+    The source is "measured", or the model of the first row in which one was derived.
     """
     ghi, dhi, dni = log.ghi_wm2[rows], log.dhi_wm2[rows], log.dni_wm2[rows]
     mean, spread = float(ghi.mean()), float(np.ptp(ghi))
@@ -116,7 +119,7 @@ def _statistics(log: CleanIrradiance, rows: Mask) -> BracketIrradiance:
     )
 
 
-_CAUTIONS = {
+_CAUTIONS = {  # by the flags of clean.csv
     "low-sun": "sun under 5 degrees: DNI from horizontal readings is inaccurate",
     "closure": "global is not diffuse + direct",
     "diffuse": "diffuse above global",

@@ -1,4 +1,4 @@
-"""Write sky_view.exr of a session, where its camera sees the sky, and a picture of it."""
+"""Write sky_view.exr of a session: the directions in which its camera sees the sky."""
 
 from __future__ import annotations
 
@@ -38,9 +38,11 @@ _WIDE = 1.5
 class Shown:
     """What the panorama of one usable bracket shows.
 
-    sun: None without one; recorded_lx: its illuminance in the panorama's file; seen [H, W]: pixels
-    with a value, None for a panorama that cannot be read; heading_deg: azimuth of the middle;
-    sun_at_deg: altitude and azimuth of the sun or of what may be the sun, None without.
+    slot: id of the bracket; sun: None without one; recorded_lx: its normal illuminance in the
+    panorama's file, 0 without one; caution: a sentence about the sun or the file, or ""; seen
+    [H, W]: pixels with a value, None for a panorama that cannot be read; heading_deg: azimuth of
+    the centre column; sun_at_deg: altitude and azimuth of the sun, or of a spot that may be the
+    sun, None without.
     """
 
     slot: str
@@ -68,15 +70,18 @@ class _Pictures:
 
     @classmethod
     def of(cls, session: Session, slots: Sequence[str]) -> _Pictures:
+        """Return the pictures of some captures by the ids of their slots."""
         cuts = [session.sky_picture(slot) for slot in slots]
         is_cut = all(file.is_file() for file in cuts)
         return cls(cuts if is_cut else [session.panorama(slot) for slot in slots], is_cut)
 
     @property
     def digest(self) -> str:
+        """Digest of the contents of all files."""
         return data_digest([sha256(file) if file.is_file() else "" for file in self.files])
 
     def read(self, k: int) -> SkyPicture:
+        """Return the picture of capture k, from 0."""
         file = self.files[k]
         return read_sky_picture(file) if self.is_cut else cut_panorama(read_panorama(file))
 
@@ -86,9 +91,9 @@ def write_sky_view(
 ) -> SkyView | None:
     """Estimate the sky view of n usable captures, write it with its picture, and return it.
 
-    shown, light: of the same captures. A view in the session with the same inputs is returned
-    instead, unless `force`. Without a capture by daylight the result is None, and an earlier view
-    is removed.
+    shown, light: of the same n captures; site: the place. A view in the session that was computed
+    from the same inputs is returned instead, unless `force`. Without a capture by daylight the
+    result is None, and an earlier view is removed.
     """
     rows = [k for k, capture in enumerate(shown) if capture.seen is not None]
     if not rows:
@@ -125,7 +130,10 @@ def write_sky_view(
 
 
 def _notes_on_heading(captures: Sequence[Shown], light: Light) -> list[str]:
-    """Return a warning if suns are elsewhere in several panoramas than the heading states."""
+    """Return a warning if several panoramas show the sun at another place than it has, or [].
+
+    light: outside at the captures.
+    """
     shown = {k: at for k, capture in enumerate(captures) if (at := capture.sun_at_deg) is not None}
     suns = np.stack([light.apparent_altitude_deg, light.sun_azimuth_deg], axis=1)[[*shown]]
     height = len(captures[0].seen) if captures[0].seen is not None else 1
@@ -136,14 +144,14 @@ def _notes_on_heading(captures: Sequence[Shown], light: Light) -> list[str]:
 def is_outdated(session: Session, view: SkyView) -> bool:
     """Return whether merge wrote other pictures since `pair` wrote the session's sky view.
 
-    It is False for a view from elsewhere.
+    It is False for a view that was not computed from pictures of a session.
     """
     recorded = view.inputs.get("pictures")
     return bool(recorded) and _Pictures.of(session, view.inputs["captures"]).digest != recorded
 
 
 def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
-    """Return a function that tells which directions [p, 3] a lens saw in 80 % of captures."""
+    """Return a function of directions [p, 3]: which of them a lens saw in 80 % of captures, [p]."""
     masks = [capture.seen for capture in captures if capture.seen is not None]
     height, width = masks[0].shape
     alike = [mask for mask in masks if mask.shape == masks[0].shape]
@@ -158,30 +166,30 @@ def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
 
 
 def shares_of_beam(view: SkyView | None, room: Room | None, light: Light) -> tuple[Floats, Mask]:
-    """Return the share of the beam that arrives in n hours, and whether the sky view decides it.
+    """Return the share of the beam that arrives in n hours [n], and a mask [n]: by the sky view.
 
-    Both are [n]. The view does not decide where it shows no sky, nor where its interval is wide and
-    the stated room shows the sun. The share is then that of the room, NaN without a room.
+    The sky view decides where its lower bound is above 0, except where its interval is wide and the
+    stated room shows the sun. Elsewhere the share is that of the room, NaN without a room.
     """
-    shares, decided = np.full(len(light), np.nan), np.zeros(len(light), bool)
+    shares, by_view = np.full(len(light), np.nan), np.zeros(len(light), bool)
     if room is not None:
         shares = room_shares(room, light.apparent_sun_direction)
     if view is not None:
         disc = disc_of_hours(view, light)
-        wide = disc.high_lx > _WIDE * disc.low_lx
-        decided = (disc.low_lx > 0.0) & (light.direct_lx > 0.0) & ~(wide & (shares > 0.0))
-        shares[decided] = disc.best_lx[decided] / light.direct_lx[decided]
-    return shares, decided
+        is_wide = disc.high_lx > _WIDE * disc.low_lx
+        by_view = (disc.low_lx > 0.0) & (light.direct_lx > 0.0) & ~(is_wide & (shares > 0.0))
+        shares[by_view] = disc.best_lx[by_view] / light.direct_lx[by_view]
+    return shares, by_view
 
 
 def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
-    """Draw openness over a panorama as a PNG.
+    """Draw a view's openness over a panorama, and write it to `path` as a PNG.
 
-    suns [n, 3]: directions of captured discs, where the panoramas show them.
+    suns [n, 3]: directions of the captured discs, as the panoramas show them.
     """
     grid = view.grid
     # edges of the view, in degrees
-    left = grid.heading_deg + (grid.first_azimuth_deg + 180.0) % 360.0 - 180.0
+    left = grid.heading_deg + (grid.first_azimuth_deg + 180.0) % 360.0 - 180.0  # azimuth
     right, top = left + grid.width * grid.step_deg, grid.first_altitude_deg
     bottom = top - grid.height * grid.step_deg
     blind = np.isnan(view.openness)[..., None]

@@ -19,11 +19,11 @@ _MIN_COSINE = 0.2  # a meter under a more oblique sun is too inaccurate (78 degr
 def measured_sun(
     panorama: Panorama, full_normal_lx: float, meter_lx: float | None
 ) -> tuple[SunSource | None, str]:
-    """Return the picture's sun, completed by the meter if it is clipped, and a caution.
+    """Return the picture's sun, with the meter's illuminance if it is clipped, and a caution or "".
 
     full_normal_lx: DNI times the direct luminous efficacy of Perez et al. (1990), before the glass
-    [lx]. meter_lx: reading of the illuminance meter at the lens, None without one. The result is
-    None for a picture without a sun: a sun that it does not show is not added.
+    [lx]. meter_lx: reading of the illuminance meter at the lens, None without one. The sun is None
+    if the picture shows none: it is not added from DNI.
     """
     stated = panorama.sun
     if stated is None:
@@ -48,8 +48,8 @@ def completed_sun(
     """Return a sun that was not measured, with its illuminance by DNI, and a caution or "".
 
     full_normal_lx: as for `measured_sun`. share: of the beam that arrives at the lens, 0 to 1; NaN
-    if it is not known. origin: how the share is known, for `SunSource.origin`. If DNI gives less
-    than the clipped picture shows, the sun is returned unchanged.
+    if unknown. origin: source of the share, for `SunSource.origin`. If DNI gives less than the
+    clipped picture shows, the sun is returned unchanged.
     """
     unknown = math.isnan(share)
     expected_lx = full_normal_lx * (1.0 if unknown else share)
@@ -61,18 +61,19 @@ def completed_sun(
 
 
 def min_normal_lx(sun: SunSource) -> float:
-    """Return the normal illuminance that a clipped disc has at least [lx].
+    """Return the lower bound [lx] of the sun's normal illuminance that a clipped disc gives.
 
-    0 for other discs, whose picture is a measurement or shows nothing, and no lower bound.
+    It is 0 for other discs: they are measured, or not in the picture.
     """
     return sun.normal_illuminance_lx if sun.origin == CLIPPED_SUN else 0.0
 
 
 def _by_meter(panorama: Panorama, sun: SunSource, meter_lx: float | None) -> float | None:
-    """Return the sun's normal illuminance by the meter [lx].
+    """Return the sun's normal illuminance by the meter [lx], None if it cannot be computed.
 
-    It is the measured minus the picture's vertical illuminance, divided by the cosine of incidence.
-    meter_lx: vertical illuminance by the meter, None without one.
+    It is the meter's minus the picture's vertical illuminance, divided by the cosine of incidence.
+    meter_lx: vertical illuminance by the meter at the lens, None without one. The angle of
+    incidence must be under 78 degrees.
     """
     if meter_lx is None:
         return None

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats, Floats32
+from fieldlum.core.arrays import Array, Floats, Floats32, Indices
 from fieldlum.core.records import Site
 from fieldlum.sky import sun
 from fieldlum.sky.perez import PerezSky, perez_coefficients, perez_luminance, reinhart_patches
@@ -23,11 +23,10 @@ class Light:
 
     t_utc: times with a zone; dni_wm2, dhi_wm2: direct normal and diffuse horizontal irradiance [n]
     W/m2; sun_altitude_deg, sun_azimuth_deg: the sun without refraction, azimuth clockwise from
-    north [n]; perez: skies known from elsewhere (such as a rendering), None to compute them from
-    the irradiance; states: the room's state at each time, as text of
-    `fieldlum.core.room_states`, None for the usual state; refraction: True if pictures show
-    the sun raised by refraction, as a camera does, False if they show it at the true altitude, as
-    some renderings do.
+    north [n]; perez: skies from elsewhere (such as a rendering), None to compute them from the
+    irradiance; states: the room's state at each time, as text of `fieldlum.core.room_states`, None
+    for the usual state; refraction: True if pictures show the sun raised by refraction, as a camera
+    does, False if they show it at the true altitude, as some renderings do.
     """
 
     t_utc: tuple[datetime, ...]
@@ -55,11 +54,17 @@ class Light:
         )
 
     @cached_property
+    def day_of_year(self) -> Indices:
+        """Day of the year of each time in its own zone, from 1, [n]."""
+        return np.array([t.timetuple().tm_yday for t in self.t_utc], np.intp)
+
+    @cached_property
     def sky(self) -> PerezSky:
         """Perez skies at the n times: those of `perez`, else computed from the irradiance."""
         if self.perez is not None:
             return self.perez
-        return perez_coefficients(self.dni_wm2, self.dhi_wm2, self.sun_altitude_deg, self.t_utc)
+        irradiance = (self.dni_wm2, self.dhi_wm2)
+        return perez_coefficients(*irradiance, self.sun_altitude_deg, self.day_of_year)
 
     @cached_property
     def sun_direction(self) -> Floats:
@@ -100,22 +105,23 @@ class Light:
     def diffuse_lx(self) -> Floats:
         """The sky's illuminance on the horizontal, summed over the patches, [n], in lx."""
         patches = reinhart_patches()
-        weights = patches.solid_angles_sr * patches.directions[:, 2]
+        weights = patches.solid_angles_sr * patches.directions[:, 2]  # times sin(altitude)
         return np.asarray(self.sky_cdm2 @ weights, float)
 
     @cached_property
     def total_lx(self) -> Floats:
         """Sum of the sky's horizontal illuminance and the sun's normal illuminance, [n], in lx.
 
-        Features are divided by it; it is at least 0.001 lx, and not small for a low sun.
+        The features of an hour are divided by it. It is at least 0.001 lx. The sun's part is not
+        multiplied by the sine of its altitude, so that it is not small for a low sun.
         """
         return np.maximum(self.diffuse_lx + self.direct_lx, MIN_LX)
 
     def sky_features(self, sky_cdm2: Floats32) -> Floats32:
-        """Return `Features.sky` of these hours, [n, 2305].
+        """Return the sky's part of the features of n hours (`Features.sky`), [n, 2305].
 
-        sky_cdm2: luminance of their sky patches [n, 2305]. It is multiplied by the root of the
-        patch's solid angle, so that products of two hours are integrals over the sky.
+        It is the luminance of each sky patch, `sky_cdm2` [n, 2305], times the root of the patch's
+        solid angle, over the hour's total light: products of two hours are integrals over the sky.
         """
         root_solid_angle = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
         return sky_cdm2 * root_solid_angle / self.total_lx.astype(np.float32)[:, None]

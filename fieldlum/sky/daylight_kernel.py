@@ -1,4 +1,4 @@
-"""Compare hours by their light: facades, features of an hour, a kernel, and the choice of hours.
+"""Compare hours by their light, as a room sees it, and choose the hours that explain a year best.
 
 A room responds linearly to the sky's patches and to the sun. Its response varies smoothly with the
 sun's direction, except for the sharp sun patch, which is known from geometry or has its own model.
@@ -49,20 +49,15 @@ class Facades:
         return sun.direction(0.0, self.azimuths_deg)
 
 
-def facades_unknown() -> Facades:
-    """Return eight facades, one every 45 degrees, of weight 0.25 each, for an unknown room."""
-    return Facades(np.linspace(0.0, 315.0, 8), np.full(8, 0.25))
-
-
 def facades_of(room: Room | None) -> Facades:
     """Return the walls of a box room that have windows, as facades.
 
     A wall's weight is the square root of (the sum over its windows of area times transmittance)
     divided by the largest such sum of any wall: 1 for the wall with most glass. Without a box room
-    or windows the result is `facades_unknown`.
+    or windows there are eight facades, one every 45 degrees, of weight 0.25 each.
     """
     if room is None or room.kind != "box" or not room.window:
-        return facades_unknown()
+        return Facades(np.linspace(0.0, 315.0, 8), np.full(8, 0.25))
     glass = dict.fromkeys((w.wall for w in room.window), 0.0)
     for window in room.window:
         glass[window.wall] += window.width_m * window.height_m * window.transmittance
@@ -105,7 +100,7 @@ class Features:
 
 
 def light_features(light: Light) -> Features:
-    """Return the features `sky` [n, 2305], `beam` [n] and `direction` [n, 3], without a room's."""
+    """Return the features of n hours that need no room: `sky`, `beam` and `direction`."""
     sky = light.sky_features(light.sky_cdm2)
     return Features(sky, light.direct_lx / light.total_lx, light.sun_direction)
 
@@ -150,9 +145,10 @@ class Kernel:
     def _sum(
         self, a: Features, b: Features, product: Callable[[Array, Array], Floats], near: Floats
     ) -> Floats:
-        """Return the sum of the kernel's terms, each a `product` of a feature of two sets of hours.
+        """Return the sum of the kernel's terms, each a `product` of a feature of `a` and of `b`.
 
-        near: factor on the facades' term by the angle between two suns, in the product's shape.
+        product: takes arrays [len(a), k] and [len(b), k]; near: factor on the facades' term by the
+        angle between two suns, in the product's shape, as the result.
         """
         beams = [f.beam[:, None] for f in (a, b)]
         grounds = (f.beam[:, None] * np.maximum(f.direction[:, 2:], 0.0) for f in (a, b))
@@ -169,7 +165,7 @@ class Kernel:
 
 
 def _facade(a: Features, facades: Facades) -> Floats:
-    """Return the sun's share on each facade, [n, f]."""
+    """Return the sun's share of the light on each of f facades in n hours, weighted, [n, f]."""
     on = BEHIND + np.maximum(a.direction @ facades.normals.T, 0.0)
     return a.beam[:, None] * on / FACING * np.sqrt(facades.weights)
 
@@ -179,12 +175,12 @@ def _facade(a: Features, facades: Facades) -> Floats:
 
 
 def greedy_hours(kernel: Kernel, year: Features, pool: Features, count: int) -> Indices:
-    """Return `count` hours of `pool`, each of which most reduces the variance over `year`, [count].
+    """Return the rows of the `count` hours of `pool` whose captures predict `year` best, [count].
 
-    The result is rows of the pool in the order of choice: all of them if it has fewer hours. year,
-    pool: features of the hours to predict and of the hours that can be chosen; no picture is
-    needed. kernel: covariance between the light of two sets of hours. Cost: O((len(year) +
-    len(pool)) len(pool) count).
+    They are in the order of choice: each most reduces the variance over `year` that the previous
+    ones leave (greedy choice). All rows if the pool has fewer hours. year, pool: features of the
+    hours to predict and of the hours that can be chosen; no picture is needed. kernel: covariance
+    between the light of two sets of hours. Cost: O((len(year) + len(pool)) len(pool) count).
     """
     year_pool, pool_covariance = kernel(year, pool), kernel(pool, pool)
     not_chosen, chosen = np.ones(len(pool), bool), []

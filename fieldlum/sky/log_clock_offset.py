@@ -1,7 +1,4 @@
-"""Estimate the offset of a log's clock from the light, as days are centred on solar noon.
-
-This is true on average under any sky.
-"""
+"""Estimate the offset of a log's clock: on average, daylight is centred on solar noon."""
 
 from datetime import UTC, datetime
 
@@ -16,19 +13,20 @@ LIT_WM2 = 10.0  # global irradiance [W/m2] with the sun at 1 (clear) to 4 degree
 # middle of the light by under 7 minutes. Chosen, with a margin of three.
 CLOCK_WARN_S = 1200.0
 _LONGEST_STORM_S = 7200.0  # longest dark spell within a day [s]; chosen, not measured
-# Rows before and after the day must not be further apart [s], otherwise the start of the light is
-# unknown. Chosen.
-_SEEN_DARK_S = 900.0
+# Longest time [s] from the last dark to the first lit row, and at the end of the day. After a
+# longer gap the start of the light is unknown. Chosen.
+_MAX_DAWN_GAP_S = 900.0
 
 
 def clock_off_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> float | None:
-    """Return how fast the log's clock is: logged middle of the light minus solar noon [s].
+    """Return the offset of the log's clock: logged middle of the light minus solar noon [s].
 
-    It is the median over the complete days, of the time half way between the first and the last lit
-    row, -43 200 to 43 200 s; days at which the sun does not set and rise by 5 degrees are omitted.
-    A positive value means that logged times are later than the true ones: the clock is fast, or the
-    stated offset from UTC is too small. t_unix_s, ghi_wm2 [n]: logged times and global irradiance,
-    in order of time; rows with NaN irradiance are ignored. Return None without a complete day.
+    The middle is half way between the first and the last lit row of a day; the result is the median
+    over the complete days, -43 200 to 43 200 s, or None without one. Days on which the sun does not
+    go 5 degrees above and below the horizon are omitted. A positive value means that logged times
+    are later than the true ones: the clock is fast, or the stated offset from UTC is too small.
+    t_unix_s, ghi_wm2 [n]: logged times and global irradiance, in order of time; rows with NaN
+    irradiance are ignored.
     """
     finite = np.isfinite(ghi_wm2)
     days = complete_days(t_unix_s[finite], ghi_wm2[finite])
@@ -39,11 +37,12 @@ def clock_off_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> float | None:
     at = sun.position(times, site)
     east, north, up = sun.direction(at.altitude_deg, at.azimuth_deg).T
     latitude = np.radians(site.latitude_deg)
-    hour_angle = np.arctan2(-east, np.cos(latitude) * up - np.sin(latitude) * north)
+    hour_angle = np.arctan2(-east, np.cos(latitude) * up - np.sin(latitude) * north)  # rad
     return float(np.median(hour_angle)) / np.pi * 43_200.0
 
 
 def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
+    """Return whether the sun goes 5 degrees above and below the horizon on that day."""
     declination = float(sun.declination_deg([t_utc])[0])
     depression = 90.0 - abs(site.latitude_deg + declination)
     highest = 90.0 - abs(site.latitude_deg - declination)
@@ -58,6 +57,7 @@ def complete_days(t_unix_s: Floats, ghi_wm2: Floats) -> list[tuple[float, float]
     and after the last lit row. t_unix_s, ghi_wm2: [n] rows in order of time.
     """
     lit = ghi_wm2 > LIT_WM2
+    # first and last rows of the lit spells that begin and end within the log
     starts = np.flatnonzero(lit & ~np.r_[True, lit[:-1]])
     ends = np.flatnonzero(lit & ~np.r_[lit[1:], True])
     ends = ends[ends >= starts.min(initial=len(lit))]
@@ -70,8 +70,8 @@ def complete_days(t_unix_s: Floats, ghi_wm2: Floats) -> list[tuple[float, float]
     return [
         (float(t_unix_s[start]), float(t_unix_s[end]))
         for start, end in days
-        if t_unix_s[start] - t_unix_s[start - 1] < _SEEN_DARK_S
-        and t_unix_s[end + 1] - t_unix_s[end] < _SEEN_DARK_S
+        if t_unix_s[start] - t_unix_s[start - 1] < _MAX_DAWN_GAP_S
+        and t_unix_s[end + 1] - t_unix_s[end] < _MAX_DAWN_GAP_S
         and t_unix_s[end] - t_unix_s[start] > _LONGEST_STORM_S
     ]
 
@@ -79,10 +79,10 @@ def complete_days(t_unix_s: Floats, ghi_wm2: Floats) -> list[tuple[float, float]
 def lit_at_night(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> list[datetime]:
     """Return the logged minutes (UTC) with over 10 W/m2 while the sun is below -3 degrees.
 
-    Then there are at most 40 lx, or 0.4 W/m2. Such minutes show that the logger's clock, the stated
-    offset from UTC, or the sign of the longitude is wrong. Unlike `clock_off_s` this needs no
-    complete day, but it does not estimate the offset, and can miss an offset of less than half an
-    hour. Empty if there are none. t_unix_s, ghi_wm2: [n] rows.
+    The sky then gives at most 40 lx, or 0.4 W/m2: the logger's clock, the stated offset from UTC,
+    or the sign of the longitude is wrong. Unlike `clock_off_s` this needs no complete day, but it
+    does not estimate the offset, and can miss one of less than half an hour. t_unix_s, ghi_wm2: [n]
+    rows.
     """
     minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))
     moments = [datetime.fromtimestamp(60.0 * m + 30.0, UTC) for m in minutes]

@@ -1,4 +1,4 @@
-"""Compute Perez all-weather skies and Reinhart patches, vectorised.
+"""Compute Perez all-weather skies at many times, and the Reinhart patches of the sky.
 
 The sky is that of Radiance's gendaylit 2.5 (Perez, Seals, Michalsky 1993, Solar Energy 50(3)) with
 perezlum.cal; luminous efficacies are those of Perez, Ineichen, Seals, Michalsky, Stewart 1990,
@@ -8,9 +8,7 @@ radiance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
 
@@ -29,7 +27,8 @@ _BINS = np.array([1.065, 1.23, 1.5, 1.95, 2.8, 4.5, 6.2])
 _CLEARNESS = (1.0, 12.01)
 _BRIGHTNESS = (0.01, 0.6)
 
-# Their coefficients by bin: the shape a to e of 1993 [8, 5, 4], the efficacies of 1990 [8, 4] each.
+# Coefficients of both papers by bin: the shape a to e of 1993 [8, 5, 4], the diffuse and direct
+# luminous efficacies of 1990 [8, 4] each.
 _TABLES = np.loadtxt(Path(__file__).with_name("perez.txt"))
 _SHAPE = _TABLES[:40].reshape(8, 5, 4)
 _DIFFUSE_EFFICACY, _DIRECT_EFFICACY = _TABLES[40:].reshape(2, 8, 4)
@@ -69,8 +68,8 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
     horizon, and azimuth increases clockwise. The ground is not a patch.
     """
     rows = np.array(patches_per_row(mf))
-    height = np.pi / 2 / (7 * mf + 0.5)
-    row = np.repeat(np.arange(len(rows)), rows)
+    height = np.pi / 2 / (7 * mf + 0.5)  # rad; the zenith's patch has half a row
+    row = np.repeat(np.arange(len(rows)), rows)  # of each patch
     azimuth = (np.arange(len(row)) - (np.cumsum(rows) - rows)[row]) * 2 * np.pi / rows[row]
     altitude = np.minimum((row + 0.5) * height, np.pi / 2)
     east, north = np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude)
@@ -82,9 +81,9 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
 
 
 def reinhart_index(directions: Array) -> NDArray[np.intp]:
-    """Return the number of the patch of `reinhart_patches` that holds each direction [n, 3], [n].
+    """Return the index of the patch of `reinhart_patches` that contains each direction, [n].
 
-    Directions below the horizon count as those at it.
+    directions: unit vectors [n, 3], x east, y north, z up; those below the horizon count as on it.
     """
     rows = np.array(patches_per_row(4))
     height = np.pi / 2 / (len(rows) - 0.5)
@@ -100,11 +99,12 @@ def reinhart_index(directions: Array) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, slots=True)
 class PerezSky:
-    """The skies at n times: arrays [n], and shape [n, 5] = Perez's a, b, c, d, e.
+    """The skies at n times: arrays [n], and shape [n, 5].
 
-    The shape is A3 to A7 of perezlum. norm_cdm2 = 179 A1; ground_cdm2 = 179 A2 is the luminance of
-    open ground with reflectance 0.2, in the sun. direct_lx is the sun's illuminance on a plane
-    normal to it, diffuse_lx the sky's on the horizontal.
+    norm_cdm2: factor on Perez's relative luminance, 179 times perezlum's A1; ground_cdm2: luminance
+    of open ground with reflectance 0.2, in the sun, 179 times its A2; shape: Perez's coefficients
+    a, b, c, d, e, its A3 to A7; clearness: Perez's epsilon. direct_lx: the sun's illuminance on a
+    plane normal to it; diffuse_lx: the sky's on the horizontal.
     """
 
     norm_cdm2: Floats
@@ -143,8 +143,10 @@ def _clearness_brightness(
 def _shape(zenith: Floats, clearness: Floats, brightness: Floats) -> Floats:
     """Return the coefficients a, b, c, d, e of Perez's relative luminance, [n, 5].
 
-    zenith: of the sun [n] rad; clearness, brightness: by `_clearness_brightness` [n]. The four x_i
-    of each coefficient are looked up by clearness (Perez, Seals and Michalsky 1993).
+    zenith: angle of the sun from the zenith [n] rad; clearness, brightness: by
+    `_clearness_brightness` [n]. Each coefficient is x1 + x2 zenith + brightness (x3 + x4 zenith),
+    with x1 to x4 looked up by clearness; in the overcast bin c and d have formulas of their own
+    (Perez, Seals and Michalsky 1993).
     """
     brightness = np.where(
         (clearness > 1.065) & (clearness < 2.8), np.maximum(brightness, 0.2), brightness
@@ -166,17 +168,22 @@ def _shape(zenith: Floats, clearness: Floats, brightness: Floats) -> Floats:
 
 
 def _relative(shape: Floats, cos_zenith: Floats, gamma: Floats) -> Floats:
-    """Return Perez's relative luminance; shape [..., 5] is broadcast against directions."""
+    """Return Perez's luminance relative to `norm_cdm2`; arguments are broadcast.
+
+    shape: coefficients [..., 5]; cos_zenith: of the angle from the zenith [...]; gamma: angle from
+    the sun, rad [...].
+    """
     a, b, c, d, e = (shape[..., i] for i in range(5))
     return (1 + a * np.exp(b / cos_zenith)) * (1 + c * np.exp(d * gamma) + e * np.cos(gamma) ** 2)
 
 
 def _relative_horizontal(shape: Floats, zenith: Floats) -> Floats:
-    """Return the integral of the relative luminance times the cosine, [n], over 145 points.
+    """Return the horizontal illuminance that Perez's relative luminance gives, [n].
 
-    The rule is gendaylit's. Far outside Perez's data the formula is negative: over all of the sky,
-    which the normalisation corrects (the integral is negative too), or over a part of it, which
-    then has no light. shape: by `_shape` [n, 5]; zenith: of the sun [n] rad.
+    It is the sum over 145 points, as in gendaylit. Far outside Perez's data the formula is
+    negative: over all of the sky, which the normalisation corrects (this sum is negative too), or
+    over a part of it, which then has no light. shape: by `_shape` [n, 5]; zenith: angle of the sun
+    from the zenith [n] rad.
     """
     rays = reinhart_patches(1).directions  # Tregenza's
     sun = np.stack((np.zeros_like(zenith), np.sin(zenith), np.cos(zenith)), axis=-1)
@@ -188,9 +195,10 @@ def _relative_horizontal(shape: Floats, zenith: Floats) -> Floats:
 
 
 def _ground_over_zenith(clearness: Floats, altitude: Floats) -> Floats:
-    """Return ground ambient over zenith luminance, [n] (gensky's clear and intermediate fits).
+    """Return the luminance of shaded white ground over that of the zenith, [n].
 
-    altitude: of the sun [n] rad. f_clear, f_between: the value of the sky's formula at the zenith.
+    clearness: Perez's epsilon [n]; altitude: of the sun [n] rad. The polynomials and formulas are
+    gensky's for clear and intermediate skies; f_clear, f_between: their luminance at the zenith.
     """
     x = (altitude - np.pi / 4) / (np.pi / 4)  # -1 at the horizon, 1 at the zenith
     clear = np.polynomial.polynomial.polyval(x, (2.766521, 0.547665, -0.369832, 0.009237, 0.059229))
@@ -205,22 +213,17 @@ def _ground_over_zenith(clearness: Floats, altitude: Floats) -> Floats:
 
 
 def perez_coefficients(
-    dni_wm2: ArrayLike,
-    dhi_wm2: ArrayLike,
-    sun_altitude_deg: ArrayLike,
-    when: ArrayLike | Sequence[datetime],
+    dni_wm2: ArrayLike, dhi_wm2: ArrayLike, sun_altitude_deg: ArrayLike, day_of_year: ArrayLike
 ) -> PerezSky:
     """Return skies from direct normal and diffuse horizontal irradiance, as gendaylit -W does.
 
-    dni_wm2, dhi_wm2, sun_altitude_deg (true, without refraction) : [n]; when : day of the year [n]
-    or UTC times. The sun's altitude is limited to 0 to 87 degrees, as in gendaylit. A sky outside
+    dni_wm2, dhi_wm2, sun_altitude_deg (true, without refraction), day_of_year (from 1) : [n] or one
+    value for all. The sun's altitude is limited to 0 to 87 degrees, as in gendaylit. A sky outside
     the model (with a positive coefficient b) is levelled towards the horizon; gendaylit gives a
     black sky. Negative irradiance counts as 0. Source: Perez, Seals and Michalsky 1993.
     """
-    items = np.atleast_1d(np.asarray(when))
-    if items.dtype == object:
-        items = np.array([t.timetuple().tm_yday for t in items])
-    parts = np.broadcast_arrays(dni_wm2, dhi_wm2, sun_altitude_deg, items)
+    arguments = (dni_wm2, dhi_wm2, sun_altitude_deg, day_of_year)
+    parts = np.broadcast_arrays(*map(np.atleast_1d, arguments))
     dni, dhi, altitude_deg, day = (np.asarray(part, float) for part in parts)
     dni, dhi, altitude_deg = np.maximum(dni, 0), np.maximum(dhi, 0), np.clip(altitude_deg, 0, 87)
     zenith_deg = 90.0 - altitude_deg
@@ -241,12 +244,12 @@ def perez_coefficients(
     return PerezSky(norm, ground, shape, clearness, direct_lx, diffuse_lx)
 
 
-# Three products, added in the order x, y, z: a BLAS library adds in another order for another
-# number of rows, and files that a resumed run writes again must be equal bit by bit.
 def cosines(a: Array, b: Array) -> Array:
     """Return the scalar products [n, m] of vectors a [n, 3] and b [m, 3], in their own dtype.
 
-    For unit vectors these are the cosines of the angles between them.
+    For unit vectors these are the cosines of the angles between them. The products are always added
+    in the order x, y, z. A BLAS library adds in another order for another number of rows, but files
+    that a resumed run writes again must be equal bit by bit.
     """
     out = a[:, None, 0] * b[:, 0]  # [n, m]
     out += a[:, None, 1] * b[:, 1]
@@ -259,8 +262,8 @@ def perez_luminance(
 ) -> Floats:
     """Return the luminance of n skies in m directions, [n, m], in cd/m2, without the sun disc.
 
-    It is 179 times perezlum, including its transition to the ground. sun_direction [n, 3] and
-    directions [m, 3] are unit vectors. dtype: of the result.
+    It is 179 times Radiance's perezlum. Below the horizon it is that of open ground, after a smooth
+    transition. sun_direction [n, 3] and directions [m, 3] are unit vectors. dtype: of the result.
     """
     sun = np.atleast_2d(np.asarray(sun_direction, dtype))
     rays = np.atleast_2d(np.asarray(directions, dtype))

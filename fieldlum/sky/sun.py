@@ -1,4 +1,4 @@
-"""Sun position, seasons and components of sunlight, computed by pvlib. Naive times are refused."""
+"""Compute sun position, seasons and components of sunlight by pvlib. Naive times are an error."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OBLIQUITY_DEG = 23.44  # of the ecliptic in this century (IAU): the sun's larges
 # Conditions of the standard atmosphere, hPa and deg C; 20 degrees or 2 km more change refraction by
 # 7 % and 22 %, a hundredth of a degree with the sun at 10 degrees.
 _STANDARD_HPA_C = (1013.25, 12.0)
-_HORIZON_REFRACTION_DEG = 0.5667  # pvlib's default; 0.27 degrees (the disc) below it is nothing
+_HORIZON_REFRACTION_DEG = 0.5667  # pvlib's default
 
 
 class SunPosition(NamedTuple):
@@ -82,10 +82,10 @@ def apparent_altitude_deg(altitude_deg: ArrayLike) -> Floats:
     from pvlib import spa
 
     altitude = np.asarray(altitude_deg, float)
-    visible = altitude >= -(0.26667 + _HORIZON_REFRACTION_DEG)
-    shown = (np.where(visible, altitude, 0.0), _HORIZON_REFRACTION_DEG)
-    raised = spa.atmospheric_refraction_correction(*_STANDARD_HPA_C, *shown)
-    return altitude + np.where(visible, raised, 0.0)
+    visible = altitude >= -(0.26667 + _HORIZON_REFRACTION_DEG)  # SPA's radius of the disc
+    arguments = (*_STANDARD_HPA_C, np.where(visible, altitude, 0.0), _HORIZON_REFRACTION_DEG)
+    raised_deg = spa.atmospheric_refraction_correction(*arguments)
+    return altitude + np.where(visible, raised_deg, 0.0)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -100,14 +100,14 @@ def standard_offset(timezone: str, year: int) -> timedelta:
     winter as the exception.
     """
     zone = ZoneInfo(timezone)
-    middles = (datetime(year, month, 15, 12, tzinfo=zone) for month in range(1, 13))
-    return min(t.utcoffset() or timedelta() for t in middles)
+    noons = (datetime(year, month, 15, 12, tzinfo=zone) for month in range(1, 13))
+    return min(noon.utcoffset() or timedelta() for noon in noons)
 
 
 def zone_off_sun_h(site: Site) -> float:
-    """Return local standard time minus the mean solar time of the longitude, -12 to 12 h.
+    """Return local standard time minus mean solar time at the site's longitude, -12 to 12 h.
 
-    The result is 0 for UTC, which is no place's own time zone.
+    The result is 0 for UTC, which is not a time zone chosen for the place.
     """
     if site.timezone.removeprefix("Etc/") in ("UTC", "GMT", "UCT", "Zulu"):
         return 0.0
@@ -150,24 +150,26 @@ def standard_midnight(day: date, timezone: str) -> datetime:
 
 
 def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime, timedelta]]:
-    """Return the clock changes from standard midnight at the start of `first` to the end of `last`.
+    """Return the clock changes of the local standard days `first` to `last`, in order.
 
-    timezone: IANA name. Each is (moment in UTC, new minus old UTC offset), in order; found to the
-    half hour, on which every change of the last fifty years was. Empty without any.
+    timezone: IANA name. Each is (moment in UTC, new minus old UTC offset), to the half hour: every
+    change of the last fifty years was on one. Empty without a change.
     """
-    start, half_hours = standard_midnight(first, timezone), 48 * ((last - first).days + 1)
-    moments = [start + timedelta(minutes=30 * k) for k in range(half_hours + 1)]
-    local = [t.astimezone(ZoneInfo(timezone)).replace(tzinfo=UTC) for t in moments]
-    steps = [b - a - timedelta(minutes=30) for a, b in pairwise(local)]
-    return [(t, step) for t, step in zip(moments[1:], steps, strict=True) if step]
+    zone, half_hour = ZoneInfo(timezone), timedelta(minutes=30)
+    start, count = standard_midnight(first, timezone), 48 * ((last - first).days + 1)
+    moments = [start + half_hour * k for k in range(count + 1)]
+    offsets = [moment.astimezone(zone).utcoffset() or timedelta() for moment in moments]
+    steps = [after - before for before, after in pairwise(offsets)]
+    return [(moment, step) for moment, step in zip(moments[1:], steps, strict=True) if step]
 
 
 def _ecliptic_longitude_deg(moment: datetime) -> float:
-    """Return the apparent ecliptic longitude of the sun, in deg, by SPA's equatorial place."""
+    """Return the apparent ecliptic longitude of the sun, in deg, from SPA's right ascension."""
     from pvlib import spa
 
     delta_t = spa.calculate_deltat(moment.year, moment.month)
     unix_s = np.array([moment.timestamp()])
+    # with sst=True it returns sidereal time, right ascension and declination, whatever the place is
     place = spa.solar_position_numpy(unix_s, 0, 0, 0, 0, 0, delta_t, 0, 1, sst=True)
     ascension, declination = np.radians(place[1:])
     tilt = np.radians(OBLIQUITY_DEG)  # exact enough: its error has no effect at the seasons
@@ -177,11 +179,11 @@ def _ecliptic_longitude_deg(moment: datetime) -> float:
 
 @lru_cache(maxsize=128)
 def season(year: int, which: int) -> datetime:
-    """Return the moment at which the sun's apparent longitude is ``90 deg * which``.
+    """Return the moment of an equinox or a solstice in UTC, to the second.
 
     year : of the calendar; which : 0 March equinox, 1 June solstice, 2 September equinox, 3
-    December solstice; named by month, because "spring" is another season south of the equator. To
-    the second in UTC; within a minute of the almanac's tables from 1950 to 2050.
+    December solstice: the sun's apparent ecliptic longitude is then ``90 deg * which``. It is
+    within a minute of the almanac's tables from 1950 to 2050.
     """
     month, target = (3, 6, 9, 12)[which], 90.0 * which
     moment = datetime(year, month, 21, tzinfo=UTC)
@@ -228,8 +230,9 @@ def rise_transit_set(day: date, site: Site) -> DayOfSun:
     at = position(times, site)
     above = at.altitude_deg - RISE_ALTITUDE_DEG
     west = -direction(at.altitude_deg, at.azimuth_deg)[:, 0]
+    # each event is where one of these passes 0 upwards
     events = (np.flatnonzero((v[:-1] < 0.0) & (v[1:] >= 0.0)) for v in (above, west, -above))
-    return DayOfSun(*(times[k[0]] if k.size else None for k in events))
+    return DayOfSun(*(times[minutes[0]] if minutes.size else None for minutes in events))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -300,11 +303,11 @@ def wrong_level(
     altitude_deg: Floats,
     site: Site,
 ) -> str:
-    """Return what shows that clear hours are not as bright as a cloudless sky; "" if they are.
+    """Return a text if clear rows are not as bright as a cloudless sky, "" if they are.
 
-    The sensitivity, unit or calibration is then wrong, which no ratio of two components shows. Rows
-    [n], W/m2, are clear if diffuse is under a fifth of global; under ten decide nothing. altitude:
-    of the true sun.
+    The sensitivity, unit or calibration is then wrong, which no ratio of two components shows.
+    ghi_wm2, dhi_wm2, altitude_deg (true) : [n]. A row is clear if its diffuse irradiance is under a
+    fifth of the global. Fewer than ten clear rows give "".
     """
     with np.errstate(invalid="ignore"):
         clear = (dhi_wm2 < 0.2 * ghi_wm2) & (ghi_wm2 > 50.0) & (altitude_deg > 15.0)
@@ -344,9 +347,10 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
 
 
 def horizontal_beam(normal: ArrayLike, altitude_deg: ArrayLike) -> Floats:
-    """Return what direct normal light gives on the horizontal, in its unit; 0 after sunset, [n].
+    """Return the horizontal component of direct normal light, in its unit, [n]; 0 after sunset.
 
-    normal : on a plane normal to the sun [n]; altitude_deg : true, of the sun [n].
+    normal : irradiance or illuminance on a plane normal to the sun [n]; altitude_deg : true
+    altitude of the sun [n].
     """
     return np.asarray(normal, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
 
@@ -379,7 +383,8 @@ class Limits(NamedTuple):
     dni_wm2: tuple[float, Floats]
 
 
-# Lowest value; factor, power and offset of the highest GHI, DHI and DNI.
+# By whether the extremely rare limits are meant: lowest value; factor, power and offset of the
+# highest GHI, DHI and DNI.
 _BSRN = {
     False: (-4.0, ((1.5, 1.2, 100.0), (0.95, 1.2, 50.0), (1.0, 0.0, 0.0))),
     True: (-2.0, ((1.2, 1.2, 50.0), (0.75, 1.2, 30.0), (0.95, 0.2, 10.0))),
@@ -395,32 +400,33 @@ def bsrn_limits(
     altitude_deg : [n], below 0 counts as 0; extraterrestrial : [n] on a plane normal to the sun,
     W/m2. extreme : return the narrower limits, which are exceeded extremely rarely.
     """
-    mu = np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
-    sa = np.asarray(extraterrestrial, float)
+    sine = np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
+    top = np.asarray(extraterrestrial, float)
     low, terms = _BSRN[extreme]
-    ghi, dhi, dni = ((low, factor * sa * mu**power + offset) for factor, power, offset in terms)
+    ghi, dhi, dni = ((low, factor * top * sine**power + offset) for factor, power, offset in terms)
     return Limits(ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni)
 
 
 def too_weak(ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike) -> Mask:
-    """Return True where global is under 0.5 % of extraterrestrial sin(altitude), [n].
+    """Return a mask [n] of rows with less global irradiance than under any cloud.
 
-    ghi_wm2, altitude_deg, extraterrestrial [W/m2] : [n] each. False for a sun up to 10 degrees.
-    Where True, the instrument is covered or dead, or the unit is kW/m2: the darkest storm transmits
-    ten times as much, a file in kW a seventh.
+    It is less than 0.5 % of extraterrestrial sin(altitude): the instrument is covered or dead, or
+    the unit is kW/m2. The darkest storm transmits ten times as much, a file in kW/m2 has a seventh.
+    ghi_wm2, altitude_deg (true), extraterrestrial [W/m2] : [n] each. False for a sun up to 10
+    degrees.
     """
-    altitude = np.asarray(altitude_deg, float)
-    top = np.asarray(extraterrestrial, float) * np.sin(np.radians(np.maximum(altitude, 0.0)))
-    return (altitude > CLEAR_SUN_DEG) & (np.asarray(ghi_wm2, float) < 0.005 * top)
+    is_high = np.asarray(altitude_deg, float) > CLEAR_SUN_DEG
+    top = horizontal_beam(extraterrestrial, altitude_deg)
+    return is_high & (np.asarray(ghi_wm2, float) < 0.005 * top)
 
 
 def closure_ratio(
     ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike
 ) -> Floats:
-    """Return global over (diffuse + DNI sin altitude), [n].
+    """Return the ratio of global to diffuse + DNI sin(altitude), 1 for consistent rows, [n].
 
-    All arguments : [n], irradiances in W/m2, true altitude. NaN (not testable) where that sum is
-    not over 50 W/m2.
+    All arguments : [n], irradiances in W/m2, true altitude. NaN (not testable) where the sum of
+    diffuse and direct is not over 50 W/m2.
     """
     total = np.asarray(dhi_wm2, float) + horizontal_beam(dni_wm2, altitude_deg)
     return np.divide(ghi_wm2, total, out=np.full(total.shape, np.nan), where=total > 50.0)

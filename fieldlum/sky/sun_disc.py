@@ -17,7 +17,6 @@ from fieldlum.optics.projection import (
     equirect_pixel,
     equirect_solid_angles,
     row_altitudes_deg,
-    row_solid_angles,
 )
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
@@ -63,8 +62,10 @@ class SunDisc:
 
 @dataclass(frozen=True, slots=True)
 class _Band:
-    """The rows of a map of `shape` in which the disc is searched; arrays [rows, W].
+    """The rows of a map in which the disc is searched, as arrays [rows, W].
 
+    shape: of the complete map; rows: the slice of its rows. light: luminance in cd/m2; solid_sr:
+    solid angles; rays: unit vectors [rows, W, 3]; clipped: mask. pixel_rad: height of a pixel;
     reach_rad: largest distance of a disc's light from its centre, by the size of pixels and the
     lens's blur; ring_rad: width of the ring around it that is taken as the disc's surroundings.
     """
@@ -73,14 +74,14 @@ class _Band:
     rows: slice
     light: Floats
     solid_sr: Floats
-    rays: Floats  # [rows, W, 3]
+    rays: Floats
     clipped: Mask
     pixel_rad: float
     reach_rad: float
     ring_rad: float
 
     def angle_rad(self, centre: Floats) -> Floats:
-        """Return the angle of each pixel's centre from a unit vector, [rows, W]."""
+        """Return the angle in rad between each pixel and a unit vector [3], [rows, W]."""
         return np.arccos(np.clip(self.rays @ centre, -1.0, 1.0))
 
     def centroid(self, pixels: Mask, weight: Floats) -> Floats:
@@ -100,10 +101,10 @@ def find_disc(
 ) -> SunDisc | None:
     """Return the sun disc in a map [H, W = 2H]; None if there is no disc.
 
-    heading_deg : azimuth of the map's centre. near_deg : expected apparent altitude and azimuth,
-    clockwise from north, correct to 3 degrees or 2.5 pixels. Without it the map's brightest spot is
-    examined, which must not be brighter than the sun can be. clipped [H, W] : pixels whose
-    luminance is a lower bound. dni_wm2 : direct irradiance, if known.
+    luminance_cdm2 : the map [H, W]; heading_deg : azimuth of its centre. near_deg : expected
+    apparent altitude and azimuth, clockwise from north, correct to 3 degrees or 2.5 pixels. Without
+    it the map's brightest spot is examined, which must not be brighter than the sun can be. clipped
+    [H, W] : pixels whose luminance is a lower bound. dni_wm2 : direct irradiance, None if unknown.
 
     A disc is a compact spot. Its brightest pixel exceeds any surface or sky and three times its
     surroundings, and its energy is that of a disc of 1e6 cd/m2 or more. If pixels near `near_deg`
@@ -131,9 +132,10 @@ def find_disc(
 
 
 def brightest_surface_cdm2(dni_wm2: float) -> float:
-    """Return a luminance [cd/m2] that no surface or sky away from the sun exceeds under a DNI.
+    """Return the luminance [cd/m2] that surfaces and the sky away from the sun never exceed.
 
-    It is three times that of a white surface, as in `BRIGHTEST_SURFACE_CDM2`.
+    dni_wm2 : direct normal irradiance. It is three times the luminance of a white surface in that
+    sun, as in `BRIGHTEST_SURFACE_CDM2`, but at least that of a bright overcast sky.
     """
     return max(3.0 * _LUMENS_PER_WATT * dni_wm2 / np.pi, _BRIGHTEST_SKY_CDM2)
 
@@ -186,8 +188,9 @@ def _band(
 ) -> _Band:
     """Return the rows of a panorama in which a disc and its surroundings can be.
 
-    light: luminance [H, W] cd/m2; clipped: its clipped pixels [H, W], None for none; heading_deg:
-    azimuth of its centre; altitude_deg: the sun's; search_rad: how far from there a disc may be.
+    light: luminance [H, W] cd/m2; clipped: mask of its clipped pixels [H, W], None for none;
+    heading_deg: azimuth of its centre; altitude_deg: expected altitude of the sun; search_rad:
+    largest distance of a disc from there.
     """
     height, width = light.shape
     pixel_rad = np.pi / height
@@ -198,22 +201,21 @@ def _band(
     indices = np.flatnonzero(np.abs(altitudes - altitude_deg) <= margin_deg)
     rows = slice(int(indices[0]), int(indices[-1]) + 1)
     clipped = np.zeros(light.shape, bool) if clipped is None else clipped
-    solid_sr = np.repeat(row_solid_angles(height, width)[rows, None], width, axis=1)
+    solid_sr = equirect_solid_angles(height, width)[rows]
     rays = direction(altitudes[rows, None], azimuths[None, :])
     lit, clipped = light[rows], clipped[rows]
     return _Band(light.shape, rows, lit, solid_sr, rays, clipped, pixel_rad, reach_rad, ring_rad)
 
 
 def _measured_disc(band: _Band, search: Mask) -> SunDisc | None:
-    """Return the brightest spot of the search as a disc; None without a compact spot."""
-    if not search.any():
-        return None
+    """Return the brightest spot within the mask `search` as a disc; None if it is not compact."""
     brightest = int(np.argmax(np.where(search, band.light, -np.inf)))
     peak = float(band.light.flat[brightest])
     about = band.angle_rad(band.rays.reshape(-1, 3)[brightest]) <= 2.0 * band.reach_rad
     bright = about & (band.light >= 0.5 * peak)
-    room_sr = 4.0 * SUN_SOLID_ANGLE_SR + 9.0 * float(band.solid_sr.flat[brightest])
-    if peak <= 0.0 or band.solid_sr[bright].sum() > room_sr:
+    # a compact spot has at most the area of four suns and of nine pixels
+    largest_sr = 4.0 * SUN_SOLID_ANGLE_SR + 9.0 * float(band.solid_sr.flat[brightest])
+    if peak <= 0.0 or band.solid_sr[bright].sum() > largest_sr:
         return None
     return _disc_at(band, band.centroid(bright, band.light), band.reach_rad)
 
@@ -222,8 +224,9 @@ def _clipped_disc(band: _Band, search: Mask, towards: Floats) -> SunDisc | None:
     """Return a disc that is clipped in every frame, with a lower bound of its illuminance.
 
     A compact clipped spot is the disc. If a larger area is clipped (a window in a bracket that is
-    too short), nothing can be measured: the sun is at its expected position if the map is clipped
-    there. search: mask of the band near `towards`, the expected direction.
+    too short), nothing can be measured: the disc is at its expected position if the map is clipped
+    there, else the result is None. towards: unit vector to the expected position [3]; search: mask
+    of the band around it [rows, W].
     """
     spot = band.clipped & search
     centre = band.centroid(spot, np.ones_like(band.light))
@@ -241,11 +244,11 @@ def _disc_at(
 ) -> SunDisc:
     """Return the light within `reach_rad` of a centre, in excess of the surroundings, as a disc.
 
-    centre: unit vector; clipped: count the band's clipped pixels as part of it; measured: move the
-    centre to the centroid of the light, and state its uncertainty. A pixel belongs to it if it is 5
-    % brighter than the ring's quantile 0.9, so that bars and walls in the ring do not make the sky
-    a part of the sun, and has 5 % of the brightest pixel's excess: dimmer pixels are the bright sky
-    around the sun.
+    centre: unit vector [3]; clipped: count the band's clipped pixels as part of the disc; measured:
+    move the centre to the centroid of the light, and state its uncertainty. A pixel belongs to the
+    disc if it is 5 % brighter than the ring's quantile 0.9, so that bars and walls in the ring do
+    not make the sky a part of the sun, and if it has 5 % of the brightest pixel's excess: dimmer
+    pixels are the bright sky around the sun.
     """
     angle = band.angle_rad(centre)
     ring = (angle > reach_rad) & (angle <= reach_rad + band.ring_rad)
@@ -254,8 +257,8 @@ def _disc_at(
     bright = float(np.quantile(around, 0.9)) if around.size else 0.0
     within_reach = angle <= reach_rad
     excess = np.where(within_reach, band.light - surroundings, 0.0)
-    part = min(0.05 * float(excess.max(initial=0.0)), _BRIGHTEST_SKY_CDM2)
-    inside = (band.light > 1.05 * bright) & (excess > part)
+    minimum = min(0.05 * float(excess.max(initial=0.0)), _BRIGHTEST_SKY_CDM2)
+    inside = (band.light > 1.05 * bright) & (excess > minimum)
     excess = np.where(inside, excess, 0.0)
     energy = excess * band.solid_sr
     sigma = np.degrees(band.pixel_rad) * PIXEL_SIGMA if measured else np.nan

@@ -1,4 +1,4 @@
-"""Weather years: strict readers that list every repair, and a synthetic year without a file.
+"""Read weather years strictly and list every repair, or compute a synthetic year without a file.
 
 `formats` reads the rows of each format; this file repairs them, and `plausibility` compares them
 with the sun.
@@ -49,8 +49,8 @@ _MAX_DARK_SHARE = 0.02
 def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Weather:
     """Read a weather file of any format of `formats` as hours at `site`.
 
-    label_shift_min : minutes added to the times that the file states, for labels that are known to
-    be wrong; listed in `.repairs`. The path ``synthetic`` gives a synthetic year of the site.
+    label_shift_min : minutes added to the times that the file states, if its labels are wrong;
+    listed in `.repairs`. The path ``synthetic`` gives a synthetic year of the site.
 
     Smaller faults are repaired and listed in `.repairs`: night offsets, 29 February of a typical
     year, gaps up to three hours. Longer gaps are left out and listed.
@@ -60,7 +60,6 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     `check_plausible` finds: light at night, wrong units, exchanged columns, labels that are not at
     the middle of their hour. Raises NotEnoughDataError without a single hour that has DNI and DHI.
     """
-    path = Path(path)
     if str(path) == SYNTHETIC:
         if label_shift_min:
             raise InputError(path, "no file", "a weather file to shift", "omit --label-shift")
@@ -84,7 +83,8 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     name = f"{path.name} ({table.place.name})" if table.place else path.name
     weather = Weather(name, site, (), ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni, typical=table.typical)
     weather = _fill_gaps(path, weather, rows, repairs)
-    # Elsewhere the global irradiance was computed from the other two and proves nothing.
+    # The check needs the file's own global irradiance: what was computed from the others proves
+    # nothing.
     stated = {row.when: value for row, value in zip(rows, ghi, strict=True)}
     ghi = np.array([stated.get(t, math.nan) for t in weather.t_utc])
     repairs += check_plausible(path, weather, table.place or site, ghi)
@@ -128,9 +128,9 @@ def distance_km(a: Site, b: Site) -> float:
 
 
 def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
-    """Return a note if the file's place is over `NEAR_KM` from the site; place: None for unknown.
+    """Return a note if the file's place is over 30 km from the site, or unknown (None).
 
-    Raises InputError beyond `FAR_KM`.
+    Raises InputError if it is over 300 km from the site.
     """
     if place is None or (away := distance_km(place, site)) <= NEAR_KM:
         return [] if place else ["the file states no place: it is taken as weather of the site"]
@@ -145,11 +145,12 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
 def _in_utc(
     table: WeatherTable, shift: timedelta, site: Site, repairs: list[str]
 ) -> list[WeatherRow]:
-    """Return the rows at the middle of their hours in UTC; a typical year in TYPICAL_YEAR.
+    """Return the rows with `when` at the middle of their hours in UTC.
 
-    29 February of a typical year is left out and listed in `repairs`. The date on the file's own
-    clock decides, because the last hours of 28 February can be the 29th in another time zone. Rows
-    that pass the end of the site's year continue at its beginning.
+    shift: from the time of a row to that middle. All rows of a typical year get the year
+    TYPICAL_YEAR of the site's standard time: those that pass its end continue at its beginning. 29
+    February is left out and listed in `repairs`; the date on the file's own clock decides, because
+    the last hours of 28 February can be the 29th in another time zone.
     """
     if not table.typical:
         return [row._replace(when=row.when - table.clock + shift) for row in table.rows]
@@ -183,10 +184,11 @@ def _in_order(path: Path, rows: list[WeatherRow]) -> list[WeatherRow]:
 
 
 def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
-    """Return GHI, DHI and DNI of all rows, [3, n], W/m2; set negative readings to zero, listed.
+    """Return GHI, DHI and DNI of all rows, [3, n], W/m2, with each change listed in `repairs`.
 
-    Clearly negative ones by day are no offset of an instrument but a code, such as -9: missing. So
-    are a few hours by day without any light, which PVGIS writes for days without satellite images.
+    Negative readings become zero. Those below -5 W/m2 by day are a code such as -9, not an offset
+    of an instrument: missing, NaN. So are a few hours by day without any light, which PVGIS writes
+    for days without satellite images. place: of the sun.
     """
     values = np.array([(row.ghi, row.dhi, row.dni) for row in rows]).T  # [3, n]
     altitude = sun.position([row.when for row in rows], place).altitude_deg
@@ -194,10 +196,10 @@ def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
         repairs.append(f"{int(codes.any(axis=0).sum())} hours negative by day count as missing")
         values[codes] = np.nan
     dark = (altitude > 0.0) & ~(values > 0.0).any(axis=0) & (values == 0.0).any(axis=0)
-    hours = np.cumsum(~dark)  # one number for all dark hours in sequence
+    spell = np.cumsum(~dark)  # one number for all dark hours in sequence
     is_noon = altitude >= np.maximum(np.roll(altitude, 1), np.roll(altitude, -1))
     is_high = (altitude > _HIGH_SUN_DEG) | (is_noon & (altitude > _HIGH_NOON_DEG))
-    dark &= np.isin(hours, hours[dark & is_high])
+    dark &= np.isin(spell, spell[dark & is_high])
     if 0 < dark.sum() <= _MAX_DARK_SHARE * (altitude > 0.0).sum():
         repairs.append(f"{int(dark.sum())} hours without any light by day count as missing")
         values[:, dark] = np.nan
@@ -213,33 +215,36 @@ def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
 def _fill_gaps(path: Path, year: Weather, rows: list[WeatherRow], repairs: list[str]) -> Weather:
     """Return the year with short gaps interpolated and long gaps left out; list both in `repairs`.
 
-    year : with the irradiances of the rows. GHI is DHI + DNI sin(altitude) where the file has none.
-    Raises NotEnoughDataError without an hour that has both DNI and DHI.
+    year : without times, with the irradiances of the rows; rows : for their times. GHI is DHI + DNI
+    sin(altitude) where the file has none. Raises NotEnoughDataError without an hour that has both
+    DNI and DHI.
     """
-    good = np.isfinite(year.dni_wm2 + year.dhi_wm2)
-    if not good.any():
+    complete = np.isfinite(year.dni_wm2 + year.dhi_wm2)
+    if not complete.any():
         raise NotEnoughDataError(f"{path}: no hour has both DNI and DHI; use a file that has both")
-    times = [row.when for row, ok in zip(rows, good, strict=True) if ok]
+    times = [rows[k].when for k in np.flatnonzero(complete)]
     filled, left_out = _missing_hours(times, year.typical)
-    everything = sorted([*times, *filled])
-    at, have = (np.array([t.timestamp() for t in some]) for some in (everything, times))
-    dni, dhi = (np.interp(at, have, value[good]) for value in (year.dni_wm2, year.dhi_wm2))
-    ghi = dhi + sun.horizontal_beam(dni, sun.position(everything, year.site).altitude_deg)
-    stated = year.ghi_wm2[good]
+    all_times = sorted([*times, *filled])
+    all_s, times_s = (np.array([t.timestamp() for t in some]) for some in (all_times, times))
+    dni = np.interp(all_s, times_s, year.dni_wm2[complete])
+    dhi = np.interp(all_s, times_s, year.dhi_wm2[complete])
+    ghi = dhi + sun.horizontal_beam(dni, sun.position(all_times, year.site).altitude_deg)
+    stated = year.ghi_wm2[complete]
     has_ghi = ~np.isnan(stated)
-    ghi[np.isin(at, have[has_ghi])] = stated[has_ghi]
-    for hours, done in ((filled, "interpolated"), (left_out, "left out")):
+    ghi[np.isin(all_s, times_s[has_ghi])] = stated[has_ghi]
+    for hours, repair in ((filled, "interpolated"), (left_out, "left out")):
         if hours:
             shown = ", ".join(f"{t:%m-%d %H:%M}" for t in hours[:3])
             shown += f" ... {hours[-1]:%m-%d %H:%M}" if len(hours) > 3 else ""
-            repairs.append(f"{len(hours)} missing hours {done}: {shown} UTC")
-    return replace(year, t_utc=tuple(everything), dni_wm2=dni, dhi_wm2=dhi, ghi_wm2=ghi)
+            repairs.append(f"{len(hours)} missing hours {repair}: {shown} UTC")
+    return replace(year, t_utc=tuple(all_times), dni_wm2=dni, dhi_wm2=dhi, ghi_wm2=ghi)
 
 
 def _missing_hours(times: list[datetime], typical: bool) -> tuple[list[datetime], list[datetime]]:
-    """Return the hours to interpolate and the hours to leave out.
+    """Return the missing hours of gaps up to three hours, to be interpolated, and those of others.
 
-    times: of the rows, in order, an hour apart except for gaps; typical: of a typical year.
+    times: of the rows, in order, an hour apart except for gaps; typical: whether they are a typical
+    year, whose missing hours at the end count too.
     """
     filled: list[datetime] = []
     left_out: list[datetime] = []

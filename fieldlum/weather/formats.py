@@ -1,6 +1,6 @@
-"""Readers of weather files: a table of formats that all read their rows in the same strict way.
+"""Read weather files: a table of formats that all read their rows in the same strict way.
 
-Each format states times in its own way: its documentation defines which span or moment a row is of.
+Each format states times in its own way: its documentation defines the span or moment of a row.
 Where it leaves a choice, the choice that agrees best with sunrise and sunset is taken and listed.
 """
 
@@ -23,8 +23,8 @@ from fieldlum.weather.plausibility import contradictions
 from fieldlum.weather.year import TYPICAL_YEAR
 
 _HALF = timedelta(minutes=30)  # of an hour, by definition
-# A span of +-10 min separates labels that are half an hour apart, which a span of an hour does not.
-# Chosen.
+# Around a row's time, light is compared with the sun over +-10 min: that separates labels that are
+# half an hour apart, which +-30 min does not. Chosen.
 _NARROW = timedelta(minutes=10)
 _OFFSET = re.compile(r"Irradiance Time Offset \(h\):\s*(-?\d+(?:\.\d+)?)", re.IGNORECASE)
 # The letters of column headings without their unit, by quantity: TMY3, SAM, NSRDB, PVGIS,
@@ -34,8 +34,10 @@ _HEADINGS = {
     "dhi": "dhi diffuse df gdh diffusehorizontal diffuseradiation diffusehorizontalirradiancedif",
     "ghi": "ghi global gh globalhorizontal shortwaveradiation globalhorizontalirradianceghi",
 }
+# The same for an hourly series of PVGIS in a plane: beam and diffuse irradiance of the plane.
 _IN_PLANE = {"dni": "gbi", "dhi": "gdi", "ghi": ""}
-# Cells of a TMY2 row: year, month, day, hour, DNI, DHI, GHI (its manual).
+# First character, and last + 1, of the cells of a TMY2 row: year, month, day, hour, DNI, DHI, GHI
+# (its manual).
 _TMY2 = ((1, 3), (3, 5), (5, 7), (7, 9), (23, 27), (29, 33), (17, 21))
 _AGAIN = "download the file again as hourly data"
 Cells = Sequence[str]
@@ -45,8 +47,8 @@ Rows = Iterable[tuple[int, Cells]]
 class WeatherRow(NamedTuple):
     """One hour of a file; irradiances in W/m2, NaN where missing.
 
-    line: number in the file, from 1; when: a time within the hour that the file states, on the
-    file's own clock and written as if it were UTC.
+    line: number in the file, from 1; when: the time that the file states for the hour (its start,
+    middle or end), on the file's own clock and stored as if it were UTC.
     """
 
     line: int
@@ -58,10 +60,11 @@ class WeatherRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class WeatherTable:
-    """The content of a file: rows, whether they are a typical year, and the header's place.
+    """The content of a weather file.
 
-    clock: the file's clock minus UTC; shift: from the time of a row to the middle of its hour;
-    place: None without one; notes: choices of the reader, one sentence each.
+    typical: whether the rows are a typical year; place: of the header, None without one; clock: the
+    file's clock minus UTC; shift: from the time of a row to the middle of its hour; notes: choices
+    of the reader, one sentence each.
     """
 
     rows: list[WeatherRow]
@@ -74,7 +77,7 @@ class WeatherTable:
 
 
 def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the content of a weather file by the first of `FORMATS` that recognises it.
+    """Return the content of a weather file, read by the first of `FORMATS` that recognises it.
 
     lines: of the file; site: for formats that state no place or zone. Raises InputError for a
     header or row that the format does not allow, and for irradiance outside -10 to 1600 W/m2.
@@ -93,13 +96,14 @@ def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
 
 
 class _CellError(ValueError):
-    """A cell that cannot be read: what was found, and what was expected."""
+    """A cell that cannot be read; args: what was found, and what was expected."""
 
 
 def _number(name: str, text: str) -> float:
-    """Return an irradiance; NaN for a missing value.
+    """Return the irradiance of a cell in W/m2; NaN for a missing value.
 
-    Raises _CellError for a cell that is no number or outside -10 to 1600 W/m2.
+    name: of its column, for the error. Raises _CellError for a cell that is no number or outside
+    -10 to 1600 W/m2.
     """
     low, high = strict_csv.IRRADIANCE_LIMITS_WM2
     try:
@@ -114,8 +118,9 @@ def _number(name: str, text: str) -> float:
 def _columns(path: Path, names: Cells, headings: Mapping[str, str] = _HEADINGS) -> dict[str, int]:
     """Return the column of each quantity, from 0: dni, dhi, and ghi if the file has it.
 
-    names: the file's column headings; headings: by quantity, the letters of a heading that is of
-    it. Raises InputError if one is missing, or if several columns have the same quantity.
+    names: the file's column headings; headings: for each quantity, the possible ones, as letters
+    without unit. Raises InputError if DNI or DHI is missing, or if several columns have the same
+    quantity.
     """
     columns: dict[str, int] = {}
     letters = [re.sub("[^a-z]", "", strict_csv.split_heading(name)[0].lower()) for name in names]
@@ -139,11 +144,11 @@ def _rows(
     when: Callable[[Cells], datetime],
     names: Cells = (),
 ) -> list[WeatherRow]:
-    """Return the rows of a file.
+    """Return the rows of a file from the cells of its lines.
 
-    lines: line numbers and cells; columns: the column of each quantity, from 0; when: the time that
-    the cells of a line state; names: the file's column headings, for errors. A quantity without a
-    column is NaN. Raises InputError, with the line, for a cell that cannot be read.
+    lines: line numbers and cells; columns: the column of each quantity, from 0; when: returns the
+    time that the cells of a line state; names: the file's column headings, for errors. A quantity
+    without a column is NaN. Raises InputError, with the line, for a cell that cannot be read.
     """
     headings = {name: names[k] if names else name.upper() for name, k in columns.items()}
     missing, rows = dict.fromkeys(_HEADINGS, math.nan), []
@@ -160,9 +165,10 @@ def _rows(
 def _below(
     path: Path, lines: list[str], header: int, mark: str = ","
 ) -> tuple[list[str], list[tuple[int, tuple[str, ...]]]]:
-    """Return the column names in line `header` (from 0), and the rows below them.
+    """Return the column names in line `header` (from 0), and the lines below it.
 
-    A row is its line number, from 1, and its cells; mark: what separates cells.
+    Each line is its number, from 1, and its cells; mark: the character between cells. Raises
+    InputError for missing or repeated names, and for a line with another number of cells.
     """
     if len(lines) <= header:
         raise InputError(path, f"{len(lines)} lines", "a line of column names", _AGAIN)
@@ -173,7 +179,7 @@ def _below(
 
 
 def _place(path: Path, cells: Sequence[Any], expected: str, name: str) -> tuple[Site, timedelta]:
-    """Return a place and its clock minus UTC.
+    """Return the place of a header, and its clock minus UTC.
 
     cells: latitude, longitude, altitude and zone in hours, as text or numbers, None for 0;
     expected: for the error; name: of the place. Raises InputError if they are no numbers, or if the
@@ -195,7 +201,7 @@ def _place(path: Path, cells: Sequence[Any], expected: str, name: str) -> tuple[
 
 
 def _about(lines: Sequence[str]) -> dict[str, str]:
-    """Return what lines such as ``Elevation (m): 10`` state; "#" before them does not count."""
+    """Return the values by key of lines such as ``Elevation (m): 10`` or ``# key: value``."""
     stated = (line.lstrip("# ").partition(":") for line in lines)
     return {key.strip(): value.strip() for key, _, value in stated}
 
@@ -203,7 +209,10 @@ def _about(lines: Sequence[str]) -> dict[str, str]:
 def _header_place(
     path: Path, lines: list[str], columns: tuple[int, int, int, int], expected: str
 ) -> tuple[Site, timedelta]:
-    """Return the place and clock in line 1; columns : of latitude, longitude, altitude, zone."""
+    """Return the place in line 1, and its clock minus UTC.
+
+    columns : of latitude, longitude, altitude and zone, from 0; expected : for errors.
+    """
     cells = strict_csv.split_header(path, (1, lines[0]))
     values = [cells[k] for k in columns] if len(cells) > max(columns) else []
     return _place(path, values, expected, "".join(cells[1:2]) or "weather station")
@@ -227,9 +236,10 @@ def _moment(date: Cells, hour: str, minute: str = "0") -> datetime:
 
 
 def best_of(tables: Mapping[str, WeatherTable], what: str) -> WeatherTable:
-    """Return the table with which the fewest hours contradict the sun, and list the choice.
+    """Return the table with which the fewest hours contradict the sun, with a note on the choice.
 
-    tables : the readings of one file by name, with a place; what : how the note begins.
+    tables : ways to read the times of one file, by name; each has a place. what : how the note
+    begins.
     """
     against: dict[str, int] = {}
     for name, table in tables.items():
@@ -247,7 +257,7 @@ def best_of(tables: Mapping[str, WeatherTable], what: str) -> WeatherTable:
 
 
 def _best_label(table: WeatherTable) -> WeatherTable:
-    """Return a table that has a place with its labels taken as start, middle or end of the hour."""
+    """Return the table with its labels taken as start, middle or end of hours, the best of them."""
     shifts = {"hour starts": _HALF, "hour middles": timedelta(0), "hour ends": -_HALF}
     tables = {name: replace(table, shift=shift) for name, shift in shifts.items()}
     return best_of(tables, "row times taken as")
@@ -276,14 +286,15 @@ def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
     header = next((k for k, line in enumerate(lines) if line.startswith("DATA PERIODS")), 7) + 1
     periods = "".join(lines[header - 1 : header])
     if several := re.match(r"DATA PERIODS,\s*\d+,\s*([2-9]|\d\d)", periods):
-        rows_an_hour = f"{several[1]} rows for each hour"
-        raise InputError(path, rows_an_hour, "one row for each hour", "average the file to hours")
-    found = strict_csv.split_rows(path, strict_csv.numbered(lines[header:], header + 1))
-    if found and len(found[0][1]) < 16:
-        cells = f"line {found[0][0]}: {len(found[0][1])} cells"
-        raise InputError(path, cells, "at least 16 cells", "the file is cut: download it again")
+        found = f"{several[1]} rows for each hour"
+        raise InputError(path, found, "one row for each hour", "average the file to hours")
+    body = strict_csv.split_rows(path, strict_csv.numbered(lines[header:], header + 1))
+    for line, cells in body[:1]:
+        if len(cells) < 16:
+            found = f"line {line}: {len(cells)} cells"
+            raise InputError(path, found, "at least 16 cells", "the file is cut: download it again")
     columns = {"ghi": 13, "dni": 14, "dhi": 15}
-    rows = _rows(path, found, columns, lambda c: _moment(c[:3], c[3]) - timedelta(hours=1))
+    rows = _rows(path, body, columns, lambda c: _moment(c[:3], c[3]) - timedelta(hours=1))
     table = WeatherTable(rows, typical=True, place=place, clock=clock, shift=_HALF)
     comments = [line for line in lines[:header] if line.upper().startswith("COMMENTS")]
     if not (stated := _OFFSET.search("\n".join(comments))):
@@ -299,6 +310,7 @@ def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
 
 
 def _moved(hours: float) -> str:
+    """Return the note on a time offset that the header of a PVGIS file states."""
     return f"rows moved by {60 * hours:+.0f} min, the irradiance time offset that PVGIS states"
 
 
@@ -310,7 +322,7 @@ def _read_tmy3(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """
     expected = "USAF,name,state,zone,latitude,longitude,altitude"
     place, clock = _header_place(path, lines, (4, 5, 6, 3), expected)
-    names, found = _below(path, lines, 1)
+    names, body = _below(path, lines, 1)
     one_column = "ObservationTime(LST)" in names
     at = names.index("ObservationTime(LST)") if one_column else 0
 
@@ -321,7 +333,7 @@ def _read_tmy3(path: Path, lines: list[str], site: Site) -> WeatherTable:
         label = _moment((year, month, day), hour, minute)
         return label if one_column else label - _HALF
 
-    rows = _rows(path, found, _columns(path, names), when, names)
+    rows = _rows(path, body, _columns(path, names), when, names)
     typical = not one_column or _is_typical(rows) or "Type: Typical" in lines[0]
     table = WeatherTable(rows, typical=typical, place=place, clock=clock)
     return _best_label(table) if one_column else table
@@ -340,7 +352,7 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
     spellings = {"latitude": "lat", "longitude": "lon", "elevation": "elev", "time zone": "tz"}
     cells = [about.get(key, about.get(short, "?")) for key, short in spellings.items()]
     place, clock = _place(path, cells, expected, about.get("city", "").strip("-") or "station")
-    headings, found = _below(path, lines, 2)
+    headings, body = _below(path, lines, 2)
     names = [name.title() for name in headings]
     stamp = ("Year", "Month", "Day", "Hour")
     if missing := [name for name in stamp if name not in names]:
@@ -352,7 +364,7 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
         *date, hour = (cells[k] for k in at)
         return _moment(date, hour, "0" if minutes is None else cells[minutes])
 
-    rows = _rows(path, found, _columns(path, headings), when, headings)
+    rows = _rows(path, body, _columns(path, headings), when, headings)
     typical = _is_typical(rows) or "TMY" in about.get("source", "").upper()
     shift = _HALF if minutes is None else timedelta()
     table = WeatherTable(rows, typical=typical, place=place, clock=clock, shift=shift)
@@ -399,8 +411,8 @@ def _read_wea(path: Path, lines: list[str], site: Site) -> WeatherTable:
     numbers = [latitude, -west, altitude, -zone / 15.0]
     place, clock = _place(path, numbers, "a place", about["place"])
     cells = [(k, ",".join(line.split())) for k, line in strict_csv.numbered(lines[6:], 7)]
-    found = strict_csv.split_rows(path, cells, 5)
-    rows = _rows(path, found, {"dni": 3, "dhi": 4}, lambda c: _moment(("2023", *c[:2]), c[2]))
+    body = strict_csv.split_rows(path, cells, 5)
+    rows = _rows(path, body, {"dni": 3, "dhi": 4}, lambda c: _moment(("2023", *c[:2]), c[2]))
     return WeatherTable(rows, typical=True, place=place, clock=clock)
 
 
@@ -419,15 +431,15 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
         if re.match(r"\d{8}:", line):
             found = f"line {number}: a row below the last one"
             raise InputError(path, found, "rows without gaps", "correct that row")
-    names, found = _below(path, lines[:end], header)
+    names, body = _below(path, lines[:end], header)
     keys = ("Latitude (decimal degrees)", "Longitude (decimal degrees)", "Elevation (m)")
     cells = [*(about.get(key, "?") for key in keys), None]
     place, _ = _place(path, cells, "a place in the header", "PVGIS")
     in_plane, slope = "Gb(i)" in names, about.get("Slope", "?").removesuffix(".")
     if in_plane and not re.match(r"-?0+(\.0+)? deg", slope):
-        found_slope = f"irradiance of a plane with slope {slope}"
+        found = f"irradiance of a plane with slope {slope}"
         remedy = "download the series with slope 0 and its radiation components"
-        raise InputError(path, found_slope, "a horizontal plane (slope 0 deg)", remedy)
+        raise InputError(path, found, "a horizontal plane (slope 0 deg)", remedy)
 
     def when(cells: Cells) -> datetime:
         try:
@@ -436,7 +448,7 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
             raise _CellError(f"time '{cells[0]}'", "one as 20230101:0010") from None
 
     columns = _columns(path, names, _IN_PLANE if in_plane else _HEADINGS)
-    rows = _rows(path, found, columns, when, names)
+    rows = _rows(path, body, columns, when, names)
     if in_plane:
         note = "DNI computed as Gb(i) over the sine of the sun's altitude"
         rows = _dni_from_horizontal(rows, place)
@@ -503,12 +515,12 @@ def _read_open_meteo(path: Path, lines: list[str], site: Site) -> WeatherTable:
         hours = float(about.get("utc_offset_seconds", "?")) / 3600.0
     cells = [*(about.get(key, "?") for key in _METEO_PLACE), hours]
     place, clock = _place(path, cells, "a place in the first two lines", "Open-Meteo")
-    names, found = _below(path, lines, head[2][0] - 1)
+    names, body = _below(path, lines, head[2][0] - 1)
 
     def when(cells: Cells) -> datetime:
         return _stated(cells[0]) + (clock if cells[0].isdecimal() else timedelta())
 
-    rows = _rows(path, found, _columns(path, names), when, names)
+    rows = _rows(path, body, _columns(path, names), when, names)
     return WeatherTable(rows, typical=False, place=place, clock=clock, shift=-_HALF)
 
 
@@ -523,18 +535,22 @@ def _read_cams(path: Path, lines: list[str], site: Site) -> WeatherTable:
     place, _ = _place(path, cells, "a place in the comments", "CAMS")
     if not (reference := about.get("Time reference", "?")).startswith("Universal time"):
         raise InputError(path, f"time reference {reference}", "Universal time (UT)", _AGAIN)
-    names, found = _below(path, lines, header, ";")
+    names, body = _below(path, lines, header, ";")
 
     def when(cells: Cells) -> datetime:
         start, _, end = cells[0].partition("/")
         return _stated(start) + (_stated(end) - _stated(start)) / 2
 
-    rows = _rows(path, found, _columns(path, names), when, names)
+    rows = _rows(path, body, _columns(path, names), when, names)
     return WeatherTable(rows, typical=False, place=place)
 
 
 def _stated(text: str, *, utc: bool = True) -> datetime:
-    """Return the time in UTC; utc: also without a zone. Raises _CellError for another text."""
+    """Return a time that a cell states, in UTC.
+
+    utc: take a time without a zone as UTC. Raises _CellError for another text, and for a time
+    without a zone unless `utc`.
+    """
     expected = "a UTC time such as 2027-03-20T15:30:00Z"
     try:
         t = strict_csv.read_time(text, utc=utc)
@@ -547,7 +563,7 @@ def _stated(text: str, *, utc: bool = True) -> datetime:
 
 def _read_solcast(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the rows of a csv of Solcast: hours by their end (or start), with a zone."""
-    names, found = _below(path, lines, strict_csv.numbered(lines)[0][0] - 1)
+    names, body = _below(path, lines, strict_csv.numbered(lines)[0][0] - 1)
     letters = [re.sub("[^a-z]", "", name.lower()) for name in names]
     if "period" not in letters:
         raise InputError(path, "no column period", "period_end and period", _AGAIN)
@@ -559,15 +575,16 @@ def _read_solcast(path: Path, lines: list[str], site: Site) -> WeatherTable:
             raise _CellError(f"period '{cells[span]}'", "hours (PT60M)")
         return _stated(cells[at], utc=False)
 
-    rows = _rows(path, found, _columns(path, names), when, names)
+    rows = _rows(path, body, _columns(path, names), when, names)
     return WeatherTable(rows, typical=False, shift=-_HALF if is_end else _HALF)
 
 
 def _dni_from_horizontal(rows: Sequence[WeatherRow], place: Site) -> list[WeatherRow]:
-    """Return rows whose `dni` is the beam on a horizontal plane [W/m2] with DNI and GHI.
+    """Return the rows with DNI and GHI, from rows with the beam on a horizontal plane as `dni`.
 
-    Zero with the sun below 2 deg, and at most 1.1 times that of a clear sky with the sun below 10
-    deg, as in pvlib.irradiance.dni: near the horizon a small error of time has a large effect.
+    DNI is zero with the sun below 2 deg, and at most 1.1 times that of a clear sky with the sun
+    below 10 deg, as in pvlib.irradiance.dni: near the horizon a small error of time has a large
+    effect.
     """
     times = [row.when for row in rows]
     altitude = sun.position(times, place).altitude_deg
@@ -603,10 +620,10 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
         expected = "columns t_utc (or month, day, hour), dni_wm2, dhi_wm2"
         remedy = "name the columns in the first row"
         raise InputError(path, f"no column {', '.join(missing)}", expected, remedy)
-    found = strict_csv.split_rows(path, table[1:], len(names))
+    body = strict_csv.split_rows(path, table[1:], len(names))
     at = [names.index(name) for name in stamp]
     # Hour 24 of 28 February belongs to 29 February only in a file with that day.
-    leap = not dated and any((c[at[0]].lstrip("0"), c[at[1]]) == ("2", "29") for _, c in found)
+    leap = not dated and any((c[at[0]].lstrip("0"), c[at[1]]) == ("2", "29") for _, c in body)
 
     def when(cells: Cells) -> datetime:
         if not dated:
@@ -614,7 +631,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
             return _moment(("2024" if leap else "2023", month, day), hour)
         return _stated(cells[at[0]])
 
-    rows = _rows(path, found, quantities, when, names)
+    rows = _rows(path, body, quantities, when, names)
     clock = timedelta() if dated else clock
     return WeatherTable(rows, typical=not dated, place=place, clock=clock)
 
@@ -622,7 +639,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
 def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | None, timedelta]:
     """Return the place and zone of a line ``# place: NAME, LATITUDE, LONGITUDE, UTC-8``.
 
-    Without such a line: no place, and the offset of the site's own standard time.
+    Without such a line the place is None, and the zone that of the site's standard time.
     """
     for line in lines[:20]:
         if line.startswith("# place:"):
@@ -637,8 +654,8 @@ def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | Non
 # the table
 
 
-# By what a format is recognised: a pattern of the file's suffix in small letters and its first two
-# lines; and its reader (CONTRIBUTING.md).
+# A pattern by which a format is recognised, and its reader (CONTRIBUTING.md). The pattern is
+# matched with the file's suffix in small letters and its first two lines.
 FORMATS: tuple[tuple[str, Callable[[Path, list[str], Site], WeatherTable]], ...] = (
     (r"\.tm2\n", _read_tmy2),
     (r"\.epw\n|.*\n(?i:LOCATION),", _read_epw),

@@ -1,4 +1,4 @@
-"""Plausibility of a weather file: units, columns and time labels compared with the sun.
+"""Check units, columns and time labels of a weather file by comparing them with the sun.
 
 Each of these mistakes leaves numbers that look like weather: kW instead of W, direct and diffuse
 exchanged, global in the column of one of them, labels at the end of the hour instead of its middle.
@@ -30,10 +30,14 @@ MIN_HOURS = 20  # with fewer, a median or a quantile decides nothing; chosen
 
 
 class _Sun:
-    """The sun of a station around the hours of a weather year, for any shift of their times."""
+    """The sun at a station in the hours of a weather year, for any shift of their times.
+
+    t_unix_s [n] : middles of the hours. Positions are interpolated between quarters of an hour.
+    """
 
     def __init__(self, weather: Weather, station: Site) -> None:
         self.t_unix_s = np.array([t.timestamp() for t in weather.t_utc])
+        # the half days (43 200 s) of all hours, and two more on each side
         half_days = np.unique(np.floor(self.t_unix_s / 43200.0)[:, None] + np.arange(-2.0, 3.0))
         self._grid_s = (43200.0 * half_days[:, None] + np.arange(0.0, 43200.0, 900.0)).ravel()
         at = sun.position([datetime.fromtimestamp(t, UTC) for t in self._grid_s], station)
@@ -49,10 +53,10 @@ class _Sun:
 
 
 def _label_shift_min(weather: Weather, station: _Sun) -> float | None:
-    """Return how many minutes, added to all times, make mornings and afternoons agree.
+    """Return the minutes that, added to all times, make mornings as bright as afternoons.
 
-    None if the file does not show it: it has under 300 days, in which mornings and afternoons
-    differ by weather, or no shift of up to an hour is right.
+    It is None if the file has under 300 days, because mornings and afternoons then differ by
+    weather, or if no single shift of up to an hour does it.
     """
     if len({t.date() for t in weather.t_utc}) < 300:
         return None
@@ -65,10 +69,11 @@ def _label_shift_min(weather: Weather, station: _Sun) -> float | None:
 
 
 def _morning_excess(dni_wm2: Floats, station: _Sun, shift_min: float) -> float:
-    """Return by how much clear mornings exceed clear afternoons at the same altitude, -1 to 1.
+    """Return the relative excess of DNI in clear mornings over clear afternoons, -1 to 1.
 
-    dni_wm2 [n], station: of the file's hours. Clear hours are those at the quantile 0.8 of DNI.
-    shift_min : added to all times. NaN without an altitude at which both have enough hours.
+    It is the mean over altitudes of the difference over the sum, each at the quantile 0.8 of DNI.
+    dni_wm2 [n], station : of the file's hours; shift_min : added to all times. NaN without an
+    altitude at which both have 20 hours.
     """
     altitude, morning = station.altitude_deg(shift_min), station.is_morning(shift_min)
     excess = []
@@ -101,7 +106,8 @@ MAX_CLOSURE_ERROR = 0.2
 # low suns under 0.1. Measured; chosen between.
 _LOW_DEG, _HIGH_DEG, _MIN_LOW_HOURS = (8.0, 13.0), 35.0, 200
 # Share of the sunrises and sunsets that may contradict. Half an hour of shift gives 0.10 to 0.14 at
-# 36 to 55 degrees north. Chosen, a third of that; a high horizon passes the second one.
+# 36 to 55 degrees north. Chosen, a third of that. Up to the second share only a warning is given,
+# because a high horizon has it too.
 _MAX_CONTRADICTIONS = (0.04, 0.25)
 MIN_CONTRADICTIONS = 12  # in files of a few days fewer decide nothing; not measured
 _LABELS = "check the time zone, and whether a row's time is its hour's start, middle or end"
@@ -111,32 +117,33 @@ _SEASONS = ((6, 7, 8), (12, 1, 2))  # no country sets its clocks within these mo
 
 
 def check_plausible(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) -> list[str]:
-    """Raise InputError if the values or labels of a file cannot be true at `place`.
+    """Return warnings about a file whose values or labels are doubtful at `place`.
 
-    Return a warning if some sunrises and sunsets are not those of `place`, and a note if the labels
-    seem to be off by more than 20 minutes. ghi_wm2 : [n] global irradiance of the file, NaN where
-    it has none, W/m2.
+    They are about sunrises and sunsets that are not those of `place`, a wrong level of clear hours,
+    and labels that seem to be off by more than 20 minutes. ghi_wm2 : [n] global irradiance of the
+    file itself, NaN where it has none, W/m2. Raises InputError if values or labels cannot be true.
     """
     station = _Sun(weather, place)
     altitude = station.altitude_deg()
-    if not (altitude > sun.CLEAR_SUN_DEG).any():
+    up = altitude > sun.CLEAR_SUN_DEG
+    if not up.any():
         return []
     total = weather.dhi_wm2 + sun.horizontal_beam(weather.dni_wm2, altitude)
     share = float(total.sum() / max(sun.clearsky(weather.t_utc, place).ghi_wm2.sum(), 1.0))
     low, high = _SHARE_OF_CLEAR
-    up = altitude > sun.CLEAR_SUN_DEG
     if share < low and (dark := int((total[up] == 0.0).sum())) > 0.5 * up.sum():
         raise _dark_error(path, dark)
     if not low <= share <= high:
         found = f"the sum of irradiance is {share:.2g} times that of cloudless skies at "
         remedy = f"check whether values are in kW or kJ; {_CORRECT_COLUMNS}"
         raise InputError(path, found + place.name, f"{low:g} to {high:g} times", remedy)
-    # Before the columns: with labels an hour off, low suns look like overcast hours with much DNI.
+    # Labels before columns: with labels an hour off, low suns look like overcast hours with much
+    # DNI.
     doubt = _check_labels(path, weather, station, place)
     wrong = _wrong_column(weather, altitude, total, ghi_wm2)
     if wrong is not None and doubt:
         raise _place_error(path, f"{doubt}; {wrong[0]}")
-    # Half an hour beside its sun, clear light at low altitudes looks like wrong columns.
+    # With labels half an hour off, clear light at low altitudes looks like wrong columns.
     shift = _label_shift_min(weather, station) or 0.0
     is_moved, rounded = abs(shift) > MAX_SHIFT_MINUTES, 30 * round(shift / 30)
     if wrong is None and not is_moved:
@@ -159,16 +166,17 @@ def check_plausible(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) 
 def _wrong_column(
     weather: Weather, altitude: Floats, total: Floats, ghi_wm2: Floats
 ) -> tuple[str, str, str] | None:
-    """Return what shows that a column has another component, what is expected, and the cause.
+    """Return texts if a column has another component: what was found, expected, and the cause.
 
-    altitude : of the sun [n] deg; total : DHI + DNI sin(altitude) [n] W/m2; ghi_wm2 : the file's
-    own [n], NaN without. None if nothing shows it.
+    altitude : of the sun [n] deg; total : DHI + DNI sin(altitude) [n] W/m2; ghi_wm2 : global
+    irradiance of the file itself [n], NaN where it has none. None if nothing shows a wrong column.
     """
     up, dni, dhi = altitude > sun.CLEAR_SUN_DEG, weather.dni_wm2, weather.dhi_wm2
     top = sun.extraterrestrial_wm2(weather.t_utc)
     limits = sun.bsrn_limits(altitude, top, extreme=True)
-    tested = {"DNI": (dni, limits.dni_wm2[1]), "DHI": (dhi, limits.dhi_wm2[1])}
-    over = {name: float((value > high)[up].mean()) for name, (value, high) in tested.items()}
+    (_, dni_limit), (_, dhi_limit) = limits.dni_wm2, limits.dhi_wm2
+    tested = {"DNI": dni > dni_limit, "DHI": dhi > dhi_limit}
+    over = {name: float(is_over[up].mean()) for name, is_over in tested.items()}
     name = max(over, key=lambda name: over[name])
     if over[name] > MAX_EXTREME_SHARE:
         found = f"{name} is above the limit of any sky in {100 * over[name]:.0f} % of the daylight"
@@ -199,11 +207,12 @@ def _wrong_column(
 
 
 def _horizontal_beam(dni_wm2: Floats, altitude: Floats) -> tuple[str, str, str] | None:
-    """Return what `_wrong_column` does if the direct irradiance [n] is that of a horizontal plane.
+    """Return texts as `_wrong_column` if the column of DNI is of a horizontal plane, else None.
 
-    dni_wm2 : as the file states it; altitude : of the sun, [n], deg. It is compared with clear
-    skies as hazy as its level states. None otherwise, for a year without bright direct light, and
-    where low suns are hidden.
+    dni_wm2 : as the file states it [n]; altitude : of the sun [n] deg. The strongest light over the
+    sine of the altitude is compared at low and high suns, and with the clear sky of a haze that
+    gives the same level at high suns. None too for a year without bright direct light, and where
+    low suns are hidden.
     """
     from pvlib import atmosphere, clearsky
 
@@ -213,14 +222,15 @@ def _horizontal_beam(dni_wm2: Floats, altitude: Floats) -> tuple[str, str, str] 
     if not low.sum() >= _MIN_LOW_HOURS <= high.sum():
         return None
 
-    def strongest(dni: Floats) -> tuple[float, float]:
+    def strongest(dni: Floats) -> tuple[float, float]:  # ratio of low to high suns, and level
         of_low, of_high = (np.quantile((dni / sine)[part], 0.98) for part in (low, high))
         return float(of_low / max(of_high, 1e-9)), float(np.quantile(dni[high], 0.98))
 
     zenith = 90.0 - altitude
     air_mass = np.asarray(atmosphere.get_relative_airmass(zenith))
-    hazes = (clearsky.ineichen(zenith, air_mass, tl)["dni"] for tl in (12, 10, 8, 7, 6, 5, 4, 3, 2))
-    ratios, levels = zip(*(strongest(np.asarray(dni)) for dni in hazes), strict=True)
+    turbidities = (12, 10, 8, 7, 6, 5, 4, 3, 2)  # of Linke: from haze to very clear air
+    clear_skies = (clearsky.ineichen(zenith, air_mass, haze)["dni"] for haze in turbidities)
+    ratios, levels = zip(*(strongest(np.asarray(dni)) for dni in clear_skies), strict=True)
     ratio, level = strongest(dni_wm2)
     expected = float(np.interp(level, levels, ratios))
     if level < 100.0 or not 0.1 < ratio / expected < 0.88:
@@ -231,17 +241,18 @@ def _horizontal_beam(dni_wm2: Floats, altitude: Floats) -> tuple[str, str, str] 
 
 
 def _check_labels(path: Path, weather: Weather, station: _Sun, place: Site) -> str:
-    """Raise InputError if many hours are lit before sunrise, or dark after it, with the cause.
+    """Return a text about hours that contradict sunrise and sunset, "" if there are few.
 
-    station: the sun of the file's hours; place: for errors. Another time of the labels or zone if
-    it explains them; else a column with light at midnight, or another place. Fewer hours that no
-    shift explains are described in the result, which is "" without any.
+    station : the sun of the file's hours; place : for the texts. Raises InputError with the likely
+    cause if there are many, or if a cause explains them: labels or a zone that are off, cells of
+    missing hours with zeros, a column with light at midnight, or another place.
     """
     light = weather.dni_wm2 + weather.dhi_wm2
     _check_summer_time(path, weather, light, station)
+    # number of sunrises and sunsets
     edges = 2 * len({sun.standard_date(t, weather.site.timezone) for t in weather.t_utc})
     maximum = max(int(_MAX_CONTRADICTIONS[0] * edges), MIN_CONTRADICTIONS)
-    against = {m: _against(light, station, m) for m in range(-720, 721, 15)}
+    against = {m: _against(light, station, m) for m in range(-720, 721, 15)}  # by shift in minutes
     if against[0] <= maximum:
         return ""
     found = f"{against[0]} hours have light while the sun is down or none while it is up"
@@ -274,20 +285,19 @@ def _check_labels(path: Path, weather: Weather, station: _Sun, place: Site) -> s
 
 
 def _check_summer_time(path: Path, weather: Weather, light: Floats, station: _Sun) -> None:
-    """Raise InputError if only shifts an hour apart explain sunrise and sunset of the seasons.
+    """Raise InputError if the file's clock follows summer time.
 
-    light: DNI + DHI of each hour [n] W/m2; station: the sun of these hours.
+    Then summer and winter agree with sunrise and sunset only after shifts that are an hour apart.
+    light : DNI + DHI of each hour [n] W/m2; station : the sun of these hours.
     """
     months = np.array([t.month for t in weather.t_utc])
-    against = [
+    in_summer, in_winter = (  # contradictions by shift in minutes
         {m: _against(light, station, m, np.isin(months, season)) for m in range(-180, 181, 15)}
         for season in _SEASONS
-    ]
-    # shift of each season with the fewest contradictions, the middle one of several
-    middles = (np.median([m for m in c if c[m] == min(c.values())]) for c in against)
-    summer, winter = (15 * round(float(middle) / 15) for middle in middles)
-    exchanged = min(against[0][winter], against[1][summer])
-    with_own = max(against[0][summer], against[1][winter])
+    )
+    summer, winter = _best_shift_min(in_summer), _best_shift_min(in_winter)
+    exchanged = min(in_summer[winter], in_winter[summer])
+    with_own = max(in_summer[summer], in_winter[winter])
     if abs(abs(summer - winter) - 60) <= 15 and exchanged > max(4 * with_own, MIN_CONTRADICTIONS):
         moved = f"{summer:+d} min, and from December to February by {winter:+d} min"
         found = f"sunrise and sunset agree from June to August if rows are moved by {moved}"
@@ -295,7 +305,14 @@ def _check_summer_time(path: Path, weather: Weather, light: Floats, station: _Su
         raise InputError(path, found, "one clock in all months", remedy)
 
 
+def _best_shift_min(against: dict[int, int]) -> int:
+    """Return the shift with the fewest contradictions, the middle one of several equal ones."""
+    middle = np.median([shift for shift in against if against[shift] == min(against.values())])
+    return 15 * round(float(middle) / 15)
+
+
 def _shift_error(path: Path, found: str, shift_min: int, expected: str) -> InputError:
+    """Return the error for labels or a zone that are off by `shift_min` minutes."""
     is_zone = abs(shift_min) >= 180
     moved = f"{shift_min / 60:+.0f} h" if is_zone else f"{shift_min:+d} min"
     remedy = "check the file's time zone, and the sign of the site's longitude"
@@ -305,12 +322,14 @@ def _shift_error(path: Path, found: str, shift_min: int, expected: str) -> Input
 
 
 def _dark_error(path: Path, count: int) -> InputError:
+    """Return the error for missing hours that are written as zeros."""
     expected = "diffuse light while the sun is up"
     remedy = "leave cells of missing hours empty; check that the file is of this place"
     return InputError(path, f"{count} hours have no light while the sun is up", expected, remedy)
 
 
 def _place_error(path: Path, found: str) -> InputError:
+    """Return the error for a file whose sunrises and sunsets are those of another place."""
     expected = "the sunrises and sunsets of the file's place"
     cause = "the direct light would be computed with the wrong sun"
     return InputError(path, found, expected, f"check that the file is of this place: {cause}")
@@ -319,7 +338,8 @@ def _place_error(path: Path, found: str) -> InputError:
 def check_hourly(path: Path, times: Sequence[datetime]) -> None:
     """Raise InputError if the median or the shortest time between rows is not one hour.
 
-    Other stages count rows as hours. Fewer than three rows are not checked.
+    Other stages count rows as hours. times : of the rows, in order. Fewer than three rows are not
+    checked.
     """
     steps = np.diff([t.timestamp() for t in times]) / 60.0
     for step in (np.median(steps), steps.min()) if len(steps) > 1 else ():
@@ -331,18 +351,22 @@ def check_hourly(path: Path, times: Sequence[datetime]) -> None:
 def _against(
     light: Floats, station: _Sun, shift_min: float, rows: Mask | slice = slice(None)
 ) -> int:
-    """Count the hours among `rows` that contradict sunrise or sunset after a shift of labels."""
+    """Return how many hours among `rows` contradict sunrise or sunset after a shift of labels.
+
+    light : DNI + DHI of all hours [n] W/m2; station : the sun of these hours; shift_min : added to
+    their times.
+    """
     ends = (station.altitude_deg(shift_min + half)[rows] for half in (-30.0, 30.0))
     return contradictions(light[rows], *ends)
 
 
 def contradictions(light: Floats, before_deg: Floats, after_deg: Floats) -> int:
-    """Count the spans of time that contradict the sun's altitudes at their two ends, [n] each.
+    """Return how many of n spans of time have light at night, or none by day.
 
-    light : mean DNI + DHI of each span [n] W/m2; before_deg, after_deg : altitude at its ends [n].
-    A span contradicts if it has over 3 W/m2 with the sun below -0.5 deg at both ends, or under 1
-    W/m2 with the sun above 1.5 deg at both: around the -0.8 deg of sunrise, and above the rounding
-    of files.
+    light : mean DNI + DHI of each span [n] W/m2; before_deg, after_deg : the sun's altitude at its
+    two ends [n]. Night is below -0.5 deg at both ends, and light there is over 3 W/m2; day is above
+    1.5 deg at both, and no light is under 1 W/m2. The limits are on both sides of sunrise (-0.8
+    deg), and above the rounding of files.
     """
     lit_at_night = (light > 3.0) & (np.maximum(before_deg, after_deg) < -0.5)
     dark_by_day = (light < 1.0) & (np.minimum(before_deg, after_deg) > 1.5)

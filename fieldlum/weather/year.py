@@ -14,11 +14,9 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site
 from fieldlum.sky import sun
 
-# Hours of a typical year are dated in this year: any year without 29 February serves. Chosen.
+# Hours of a typical year are dated in this year: any year without 29 February would do. Chosen.
 TYPICAL_YEAR = 2027
 _HOUR = timedelta(hours=1)
-
-
 _LIGHT = ("ghi_wm2", "dhi_wm2", "dni_wm2")
 
 
@@ -26,8 +24,10 @@ _LIGHT = ("ghi_wm2", "dhi_wm2", "dni_wm2")
 class Weather:
     """Hours of irradiance in time order; t_utc is the middle of each hour. Arrays [n] in W/m2.
 
-    repairs : one sentence for each thing that was changed, left out or is doubtful. typical : the
-    hours are one year without a date of its own, so that a moment of any year can be looked up.
+    name : of file and station; site : the place for which it is used. repairs : one sentence for
+    each thing that was changed, left out or is doubtful. typical : the hours are one year without a
+    date of its own, so that a moment of any year can be looked up. synthetic : computed, not from a
+    file.
     """
 
     name: str
@@ -54,9 +54,9 @@ class Weather:
         return self[up & (self.dni_wm2 + self.dhi_wm2 > 0.0)]
 
     def at(self, times_utc: Sequence[datetime]) -> sun.Irradiance:
-        """Return GHI, DHI and DNI of the hour around any moments, [n] each, W/m2; NaN without one.
+        """Return GHI, DHI and DNI of the hour around each moment, [n], W/m2; NaN without one.
 
-        A typical year serves for every year; 29 February has the weather of the 28th.
+        A typical year is used for moments of every year; 29 February has the weather of the 28th.
         """
         moments = [self._dated(t) for t in times_utc] if self.typical else times_utc
         seconds = np.array([t.timestamp() for t in moments])
@@ -82,12 +82,12 @@ class Weather:
 
 
 def synthetic_weather(site: Site, seed: int = 1) -> Weather:
-    """Return a plausible year for a place without a weather file; never judge the place by it.
+    """Return a plausible year for a place without a weather file, not one to judge the place by.
 
-    seed : of the random draws. The clear sky of pvlib times a random cloudiness: an hourly AR(1)
-    series (correlation 0.85) around a slower daily one (0.6), mapped to a share of the beam and to
-    a factor on the diffuse (thin clouds double it, thick ones halve it). All coefficients are
-    chosen so that the hours look like weather; not fitted to measurements.
+    seed : of the random draws. It is the clear sky of pvlib times a random cloudiness: an hourly
+    AR(1) series (correlation 0.85) around a slower daily one (0.6), mapped to a share of the beam
+    and to a factor on the diffuse (thin clouds double it, thick ones halve it). All coefficients
+    are chosen so that the hours look like weather; not fitted to measurements.
     """
     start = sun.standard_midnight(date(TYPICAL_YEAR, 1, 1), site.timezone)
     times = tuple(start + _HOUR * k + timedelta(minutes=30) for k in range(8760))
@@ -117,6 +117,7 @@ def synthetic_weather(site: Site, seed: int = 1) -> Weather:
 
 
 def _ar1(rng: np.random.Generator, n: int, correlation: float) -> Floats:
+    """Return an autoregressive series of order 1 with standard deviation 1, [n]."""
     from scipy.signal import lfilter
 
     noise = rng.standard_normal(n) * math.sqrt(1 - correlation**2)

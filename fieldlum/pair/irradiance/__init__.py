@@ -1,4 +1,4 @@
-"""Convert the day files of a session to one quality-checked series, irradiance/clean.csv."""
+"""Check the irradiance that a session logged, and write it as one series, irradiance/clean.csv."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -22,12 +22,12 @@ from fieldlum.session.files.irradiance_csv import DERIVED, MEASURED, CleanIrradi
 from fieldlum.sky import sun
 from fieldlum.sky.log_clock_offset import CLOCK_WARN_S, clock_off_s
 
-# seconds; DIRINT uses neighbouring minutes, but not across a longer gap; chosen
+# DIRINT uses neighbouring minutes, but not across a longer gap than this; chosen
 _SEGMENT_GAP_S = 1800.0
 _SPIKE_ROWS = 120  # rows on each side for the usual step: ten minutes at 5 s
 # rank of the usual step, so that four other spikes in the window do not hide one; chosen
 _SPIKE_RANK = 9
-_RECIPE = 12  # Increase it when the arithmetic changes: clean.csv is then computed again.
+_RECIPE = 12  # version of the arithmetic: increase it, and clean.csv is computed again
 
 
 # ----------------------------------------------------------------------------------------------
@@ -83,7 +83,7 @@ def poll_period_s(t_unix_s: Floats) -> float:
 
 
 def local_period_s(t_unix_s: Floats) -> Floats:
-    """Return the median time [s] between two rows around each row, [n].
+    """Return the usual time [s] between two rows near each row, [n]: the median of 64 rows.
 
     It varies because one session can have several loggers. t_unix_s: of the rows [n], ascending.
     """
@@ -96,19 +96,18 @@ def local_period_s(t_unix_s: Floats) -> Floats:
 
 
 def series_of(samples: Sequence[IrradianceSample]) -> Series:
-    """Return samples as arrays in order of time; of samples with one time, only the first.
+    """Return samples as arrays in order of time; of samples with the same time, only the first.
 
-    STATUS, DISORDER and DOUBLE are marked.
+    Rows get the marks STATUS, DIFFUSE (by the instrument's status), DISORDER and DOUBLE.
     """
     t = np.array([s.t_utc.timestamp() for s in samples])
     light = np.array([(s.ghi_wm2, s.dhi_wm2, s.dni_wm2) for s in samples], float).reshape(-1, 3).T
     # An error makes a reading unusable; more diffuse than global only makes it doubtful.
     status = {"": Mark(0), "total below diffuse": Mark.DIFFUSE}
     marks = np.array([status.get(s.status, Mark.STATUS) for s in samples], np.int64)
-    if len(t) > 1:
-        marks[1:][t[1:] < np.maximum.accumulate(t)[:-1]] |= Mark.DISORDER
+    marks[1:][t[1:] < np.maximum.accumulate(t)[:-1]] |= Mark.DISORDER
     _, keep, which = np.unique(t, return_index=True, return_inverse=True)
-    first = keep[which]
+    first = keep[which]  # first sample with the time of each sample
     same = (light == light[:, first]) | (np.isnan(light) & np.isnan(light[:, first]))
     marks[first[~same.all(axis=0)]] |= Mark.DOUBLE
     ghi, dhi, dni = light[:, keep]
@@ -120,9 +119,9 @@ def series_of(samples: Sequence[IrradianceSample]) -> Series:
 
 
 def sky_geometry(t_unix_s: Floats, site: Site) -> tuple[Floats, Floats]:
-    """Return the sun's true altitude [n] deg and the extraterrestrial normal irradiance [n] W/m2.
+    """Return the sun's true altitude [deg] and the extraterrestrial normal irradiance [W/m2].
 
-    t_unix_s : [n]. Both are interpolated between full minutes.
+    Both are [n], at the times t_unix_s [n], interpolated between full minutes.
     """
     minute = np.floor(t_unix_s / 60.0)
     grid = 60.0 * np.unique(np.r_[minute, minute + 1.0])
@@ -132,11 +131,11 @@ def sky_geometry(t_unix_s: Floats, site: Site) -> tuple[Floats, Floats]:
 
 
 def check(series: Series, altitude: Floats, top: Floats) -> Series:
-    """Return the series with doubtful values marked, and the third component computed.
+    """Return the series with doubtful rows marked, and missing components computed.
 
-    If two of GHI, DHI and DNI are measured, the third follows by closure: GHI = DHI + DNI sin h.
-    Unusable values become NaN. altitude [n]: the sun's true altitude h in degrees; top [n]: normal
-    irradiance above the atmosphere in W/m2; both from `sky_geometry`.
+    Rows with a mark of `UNUSABLE` become NaN. If two of GHI, DHI and DNI are measured, the third
+    follows by closure: GHI = DHI + DNI sin h. altitude [n]: the sun's true altitude h in degrees;
+    top [n]: normal irradiance above the atmosphere in W/m2; both from `sky_geometry`.
     """
     marks = series.marks.copy()
     ghi, dhi, dni = series.ghi_wm2, series.dhi_wm2, series.dni_wm2
@@ -154,6 +153,7 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
     step = np.diff(series.t_unix_s, prepend=series.t_unix_s[:1])
     marks[step > 2.5 * local_period_s(series.t_unix_s)] |= Mark.GAP
     ghi, dhi, dni = (np.where(marks & UNUSABLE, np.nan, value) for value in (ghi, dhi, dni))
+    # closure: the missing one of DNI, DHI and GHI
     without_dni = np.isfinite(ghi) & np.isfinite(dhi) & np.isnan(dni)
     marks[without_dni & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
     computed = np.minimum(sun.dni_by_closure(ghi, dhi, altitude), top)
@@ -168,12 +168,13 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
 
 
 def _is_faint(t_unix_s: Floats, beam: Floats) -> Mask:
-    """Return a mask of rows whose beam is within a pyranometer's zero offset over five minutes.
+    """Return a mask [n] of rows whose beam is below a pyranometer's zero offset over five minutes.
 
-    beam: global less diffuse irradiance. `check` sets the DNI of these rows to zero only above 5
-    degrees. Under a lower sun DNI is marked as inaccurate and the computed value stays: in three
-    months of DTU's station its rms error is 17, 22, 7 W/m2 at 3 to 5 degrees, that of zero is 19,
-    23, 11 W/m2; at 2 to 3 degrees neither is better in all months. t_unix_s, beam: of the rows [n].
+    t_unix_s, beam: times, and global less diffuse irradiance, of the rows [n]. `check` sets the DNI
+    of these rows to zero if the sun is above 5 degrees. Under a lower sun DNI is marked as
+    inaccurate and not changed: in three months of DTU's station its rms error is 17, 22, 7 W/m2 at
+    3 to 5 degrees, that of zero is 19, 23, 11 W/m2; at 2 to 3 degrees neither is better in all
+    months.
     """
     sums = np.append(0.0, np.cumsum(np.nan_to_num(beam)))
     first = np.searchsorted(t_unix_s, t_unix_s - 150.0)
@@ -182,10 +183,11 @@ def _is_faint(t_unix_s: Floats, beam: Floats) -> Mask:
 
 
 def _stuck(t_unix_s: Floats, ghi: Floats, altitude: Floats) -> Mask:
-    """Return a mask of rows in a run of equal values over ten minutes of daylight.
+    """Return a mask [n] of daylight rows in a run of equal values that is over ten minutes long.
 
-    The sun must have moved enough to change the value: in integers of W/m2, a clear noon is
-    constant for up to half an hour. ghi [n] W/m2; altitude: of the sun [n] deg.
+    The sun must have moved enough in the run to change the value by the log's smallest step: in
+    integers of W/m2, a clear noon is constant for up to half an hour. ghi [n] W/m2; altitude: of
+    the sun [n] deg.
     """
     if len(ghi) < 3:
         return np.zeros(len(ghi), bool)
@@ -217,13 +219,15 @@ def _saturated(ghi: Floats) -> Mask:
 
 
 def suspicions(series: Series, altitude: Floats, top: Floats, site: Site) -> NDArray[np.int64]:
-    """Return marks [n] of rows with impossible k-indices or a shaded horizon; values stay.
+    """Return the marks K_INDEX and HORIZON of each row, or 0, [n].
 
-    altitude [n] deg, top [n] W/m2: from `sky_geometry`.
+    They show impossible ratios of the components and a hidden sun, and leave the values as they
+    are. Rows with derived components are not tested. altitude [n] deg, top [n] W/m2: from
+    `sky_geometry`.
     """
-    complete = (series.marks & Mark.DERIVED) == 0
-    ghi = np.where(complete, series.ghi_wm2, np.nan)
-    dni = np.where(complete, series.dni_wm2, np.nan)
+    measured = (series.marks & Mark.DERIVED) == 0
+    ghi = np.where(measured, series.ghi_wm2, np.nan)
+    dni = np.where(measured, series.dni_wm2, np.nan)
     marks, t = np.zeros(len(ghi), np.int64), series.t_unix_s
     fails = consistency.k_index_fails(t, ghi, series.dhi_wm2, series.dni_wm2, altitude, top)
     marks[fails] |= Mark.K_INDEX
@@ -251,8 +255,8 @@ def spikes(t_unix_s: Floats, value: Floats) -> Mask:
     # Eleventh of all steps, because the two of a spike are larger than the others.
     size = np.abs(np.nan_to_num(step))
     usual = rank_filter(size, -_SPIKE_RANK - 2, 2 * _SPIKE_ROWS + 2, mode="constant")[1:]
-    least = np.maximum(20.0, 3.0 * usual)
-    is_spike = (departure > least) & (departure > 8.0 * np.abs(before - after))
+    minimum = np.maximum(20.0, 3.0 * usual)
+    is_spike = (departure > minimum) & (departure > 8.0 * np.abs(before - after))
     return np.r_[False, is_spike, False]
 
 
@@ -261,11 +265,12 @@ def spikes(t_unix_s: Floats, value: Floats) -> Mask:
 
 
 def minute_means(t_unix_s: Floats, value: Floats) -> tuple[Floats, Floats, NDArray[np.integer]]:
-    """Return means of `value` over UTC minutes: centres [m] (unix s), means [m], indices [n].
+    """Return means of `value` over UTC minutes, and which minute each row is in.
 
-    t_unix_s, value: [n], ascending times. The indices give each row's minute. In a gap of more than
-    half an hour one minute without a value is inserted, so that adjacent minutes of the result are
-    also adjacent in time.
+    t_unix_s, value: [n], ascending times. The result is the minutes' centres [m] (unix s), their
+    means [m] (NaN without a finite value), and the index of each row's minute [n]. Minutes without
+    rows are omitted, but a gap of over half an hour gets one minute of NaN, so that values on its
+    two sides are not neighbours.
     """
     minute = np.floor(t_unix_s / 60.0).astype(np.int64)
     present, row_minute = np.unique(minute, return_inverse=True)
@@ -274,17 +279,17 @@ def minute_means(t_unix_s: Floats, value: Floats) -> tuple[Floats, Floats, NDArr
     total = np.bincount(row_minute[finite], weights=value[finite], minlength=len(present))
     means = np.divide(total, count, out=np.full(len(present), np.nan), where=count > 0)
     breaks = np.flatnonzero(np.diff(present) * 60.0 > _SEGMENT_GAP_S)
-    shift = np.searchsorted(breaks, np.arange(len(present)), side="left")
+    inserted = np.searchsorted(breaks, np.arange(len(present)), side="left")  # before each minute
     centres = np.insert(60.0 * present + 30.0, breaks + 1, 60.0 * present[breaks] + 90.0)
-    index = (np.arange(len(present)) + shift)[row_minute]
+    index = (np.arange(len(present)) + inserted)[row_minute]
     return centres, np.insert(means, breaks + 1, np.nan), index
 
 
 def with_dirint(series: Series, altitude: Floats, site: Site) -> Series:
-    """Fill in DNI and DHI by DIRINT in rows with global irradiance alone; return the series.
+    """Return the series with DNI and DHI by DIRINT in the rows that have only global irradiance.
 
-    DIRINT runs on minute means; the rows of a minute share its result in proportion. altitude: of
-    the sun, [n] deg.
+    DIRINT computes DNI from minute means; each row of a minute gets it in proportion to its own
+    global irradiance. The rows are marked DERIVED. altitude: of the sun, [n] deg.
     """
     alone = np.isfinite(series.ghi_wm2) & np.isnan(series.dhi_wm2) & np.isnan(series.dni_wm2)
     if not alone.any():
@@ -316,13 +321,13 @@ NIGHT_OFFSET_WARN_WM2 = 4.0  # BSRN's limit: beyond it, night values are marked 
 class Health:
     """What health.json reports about an instrument and its logger.
 
-    rows: of the log; broken_lines: lines that could not be read; usable: rows that pass the
-    checks. every_s: median time between rows; gaps, longest_gap_s: number and longest of the
-    interruptions. night_offset_wm2: median of the global while the sun is under -6 degrees; it
+    rows: number of rows in the log; broken_lines: lines that could not be read; usable: rows that
+    pass the checks. every_s: median time between rows; gaps, longest_gap_s: number and longest of
+    the interruptions. night_offset_wm2: median of the global while the sun is under -6 degrees; it
     is never subtracted. closure_pass: share of testable rows with global = diffuse + direct.
-    clock_off_s: middle of the logged daylight minus solar noon, from the light itself; it needs
-    a complete day between two nights. marks: number of rows with each mark. None: not determined,
-    for example for too few days.
+    clock_off_s: middle of the logged daylight minus solar noon; it needs a complete day between two
+    nights. marks: number of rows with each mark. warnings: sentences for the user. None: not
+    determined, for example for too few days.
     """
 
     rows: int
@@ -379,7 +384,11 @@ def health(
 def _of_log(
     night_wm2: float | None, closure: float | None, off_s: float | None, damaged: int
 ) -> Iterator[str]:
-    """Yield warnings about zero, closure, clock and damaged lines of a log."""
+    """Yield warnings about a log's zero offset, closure, clock and damaged lines.
+
+    night_wm2, closure, off_s: `night_offset_wm2`, `closure_pass` and `clock_off_s` of `Health`;
+    damaged: number of lines.
+    """
     if night_wm2 is not None and abs(night_wm2) >= NIGHT_OFFSET_WARN_WM2:
         cause = "clean and ventilate the instrument, and check its zero in the dark"
         if night_wm2 > 20.0:  # larger than any instrument's offset
@@ -403,9 +412,9 @@ def _of_log(
 
 
 def _of_level(raw: Series, altitude: Floats, site: Site) -> Iterator[str]:
-    """Yield a sentence for each month whose clear hours are not as bright as a cloudless sky.
+    """Yield a warning for each month whose clear hours are not as bright as a cloudless sky.
 
-    altitude [n] deg: from `sky_geometry`.
+    raw: rows before the checks; altitude [n] deg: from `sky_geometry`.
     """
     times = [datetime.fromtimestamp(t, UTC) for t in raw.t_unix_s]
     months = np.array([f"{t:%Y-%m}" for t in times])
@@ -431,9 +440,9 @@ _FAULTS = {
 
 
 def _of_day(clean: Series, altitude: Floats, top: Floats) -> Iterator[str]:
-    """Yield a sentence for each fault that over 5 % of the rows have while the sun is well up.
+    """Yield a warning for each fault of over 5 % of the rows with the sun above 10 degrees.
 
-    altitude [n] deg, top [n] W/m2: from `sky_geometry`.
+    clean: rows after the checks; altitude [n] deg, top [n] W/m2: from `sky_geometry`.
     """
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
@@ -456,7 +465,7 @@ def _of_day(clean: Series, altitude: Floats, top: Floats) -> Iterator[str]:
 
 
 def mark_text(marks: int) -> str:
-    """Return the names of a row's marks without derived, such as ``low-sun gap``; "" if none."""
+    """Return the names of a row's marks except DERIVED, such as ``low-sun gap``, or ""."""
     shown = (mark for mark in Mark if marks & mark and mark is not Mark.DERIVED)
     return " ".join((mark.name or "").lower().replace("_", "-") for mark in shown)
 
@@ -466,21 +475,16 @@ def clean_of(series: Series) -> CleanIrradiance:
     kinds, which = np.unique(series.marks, return_inverse=True)
     flags = np.array([mark_text(int(marks)) for marks in kinds], object)[which]
     source = np.where(series.marks & Mark.DERIVED, DERIVED, MEASURED).astype(object)
-    return CleanIrradiance(
-        t_unix_s=series.t_unix_s,
-        ghi_wm2=series.ghi_wm2,
-        dhi_wm2=series.dhi_wm2,
-        dni_wm2=series.dni_wm2,
-        source=source,
-        flags=flags,
-    )
+    names = ("t_unix_s", "ghi_wm2", "dhi_wm2", "dni_wm2")
+    columns = {name: getattr(series, name) for name in names}
+    return CleanIrradiance(**columns, source=source, flags=flags)
 
 
 def run(session: Session, *, force: bool = False) -> Health:
     """Check the logged irradiance; write irradiance/clean.csv and irradiance/health.json.
 
-    With the same site and the same day files, the existing results are used, unless
-    `force`. Raises NotEnoughDataError without a readable line.
+    Return health.json's content. Existing files of the same site and the same day files are not
+    computed again, unless `force`. Raises NotEnoughDataError without a readable line.
     """
     remove_scraps(session.irradiance)
     files = day_files(session)
@@ -490,7 +494,7 @@ def run(session: Session, *, force: bool = False) -> Health:
     inputs = {"recipe": _RECIPE, "files": digests, "site": asdict(site)}
     table = None if force else current_note(note, inputs, [clean])
     if table is not None:
-        with suppress(ValueError):  # somebody edited it
+        with suppress(ValueError):  # a user edited it: compute it again
             return convert(table, Health)
     raw, damaged = _read(files)
     if len(raw) == 0:
@@ -512,7 +516,7 @@ def run(session: Session, *, force: bool = False) -> Health:
 def _read(files: Sequence[Path]) -> tuple[Series, int]:
     """Return the rows of all day files, and the number of damaged lines.
 
-    Only the samples of one day at a time are Python objects, which limits the memory.
+    The samples of one day at a time are Python objects, which limits the memory.
     """
     days, damaged = [], 0
     for number, path in enumerate(files, start=1):

@@ -1,4 +1,4 @@
-"""Check whether three components, a clear sky and earlier days agree.
+"""Check whether logged irradiances agree: with each other, with a clear sky, and with other days.
 
 pvlib has none of these checks. pvanalytics has QCRad's limits and closure, but without the average
 that broken clouds require. Limits of k-indices: Forstinger et al. 2021, Expert quality control of
@@ -19,13 +19,14 @@ _MIN_WM2 = 50.0  # irradiance from which k-indices and shares of a clear sky are
 def persistent(t_unix_s: Floats, marked: Mask, window_s: float, tested: Mask) -> Mask:
     """Return a mask [n] of marked rows around which at least half of the tested rows are marked.
 
-    marked, tested: masks [n]; window_s: length of the window around a row. t_unix_s [n] must
-    ascend.
+    t_unix_s: ascending times [n]; marked, tested: masks [n]; window_s: length of the window around
+    a row.
     """
     first = np.searchsorted(t_unix_s, t_unix_s - window_s / 2)
     last = np.searchsorted(t_unix_s, t_unix_s + window_s / 2, "right")
-    failed, rows = (np.r_[0, np.cumsum(mask)] for mask in (marked, tested))
-    return marked & (2 * (failed[last] - failed[first]) >= rows[last] - rows[first])
+    sums = (np.r_[0, np.cumsum(mask)] for mask in (marked, tested))
+    marked_count, tested_count = (total[last] - total[first] for total in sums)
+    return marked & (2 * marked_count >= tested_count)
 
 
 def closure_fails(
@@ -34,10 +35,10 @@ def closure_fails(
     """Return a mask [n] of the rows that contradict global = diffuse + direct, by QCRad's test.
 
     The ratio of global to diffuse + direct may differ from 1 by 8 % if the sun is higher than 15
-    degrees, and by 15 % if it is lower. t_unix_s [n], ascending; ghi, dhi, dni [n] in W/m2. A row
-    is only in the mask if at least half of the testable rows in the half hour around it differ by
-    more: under broken clouds, instruments with some distance differ by over 8 % in 4 % of the sunny
-    minutes of a good station. Rows below 50 W/m2, or with only two components, are not testable.
+    degrees, and by 15 % if it is lower. A row is in the mask only if at least half of the testable
+    rows in the half hour around it differ by more: under broken clouds, instruments some distance
+    apart differ by over 8 % in 4 % of the sunny minutes of a good station. Rows below 50 W/m2, or
+    with only two components, are not testable. t_unix_s [n], ascending; ghi, dhi, dni [n] W/m2;
     altitude: of the sun, true [n] deg.
     """
     ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
@@ -51,10 +52,10 @@ def k_index_fails(
 ) -> Mask:
     """Return a mask [n] of rows with impossible k-indices for at least half of 15 minutes.
 
-    The k-indices are clearness, diffuse share and beam transmittance; a cloud's edge passes two
-    instruments one after the other, but a fault lasts. t_unix_s [n], ascending; ghi, dhi, dni [n]
-    W/m2; altitude: of the sun, true [n] deg; top: irradiance above the atmosphere on a plane normal
-    to the sun [n] W/m2. The test cannot decide which component is wrong.
+    The k-indices are clearness, diffuse share and beam transmittance. A fault lasts, while a
+    cloud's edge passes two instruments one after the other. The test cannot decide which component
+    is wrong. t_unix_s [n], ascending; ghi, dhi, dni [n] W/m2; altitude: of the sun, true [n] deg;
+    top: irradiance above the atmosphere on a plane normal to the sun [n] W/m2.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         kt = ghi / (top * np.maximum(np.sin(np.radians(altitude)), 1e-3))
@@ -69,36 +70,36 @@ def k_index_fails(
 def shaded_horizon(
     t_unix_s: Floats, dni: Floats, altitude: Floats, azimuth: Floats, clear_dni: Floats
 ) -> Mask:
-    """Return a mask [n] of rows in sectors of the low sky where the sun is always hidden.
+    """Return a mask [n] of rows with the sun in a part of the low sky where it is always hidden.
 
-    A sector is 4 x 1 degrees, below 20 degrees of altitude. The sun must be hidden there on at
-    least four days on which it is free within 45 minutes: clouds at one place of the horizon on
-    four such days are rare. t_unix_s [n]; dni, and clear_dni of a cloudless sky [n] W/m2; altitude
-    (true), azimuth of the sun (clockwise from north) [n] deg. Limits were chosen.
+    A part has 4 degrees of azimuth and 1 of altitude, below 20 degrees. On at least four days the
+    sun must be hidden there and shine within 45 minutes of it: clouds at one place of the horizon
+    on four such days are rare. t_unix_s [n]; dni, and clear_dni of a cloudless sky [n] W/m2;
+    altitude (true), azimuth of the sun (clockwise from north) [n] deg. Limits were chosen.
     """
     out = np.zeros(len(t_unix_s), bool)
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(clear_dni > _MIN_WM2, dni / clear_dni, np.nan)
     rows = np.flatnonzero(np.isfinite(share) & (altitude > 1.0) & (altitude < 20.0))
-    free = t_unix_s[np.nan_to_num(share) > 0.5]
-    if not len(rows) or not len(free):
+    sunny_s = t_unix_s[np.nan_to_num(share) > 0.5]
+    if not len(rows) or not len(sunny_s):
         return out
-    after = np.searchsorted(free, t_unix_s[rows])
-    near = np.stack([free[np.clip(after - k, 0, len(free) - 1)] for k in (0, 1)])
-    is_near = np.abs(near - t_unix_s[rows]).min(axis=0) <= 2700.0
-    sector = 1000 * (azimuth[rows] // 4.0) + altitude[rows] // 1.0
+    after = np.searchsorted(sunny_s, t_unix_s[rows])
+    nearest = np.stack([sunny_s[np.clip(after - k, 0, len(sunny_s) - 1)] for k in (0, 1)])
+    is_near = np.abs(nearest - t_unix_s[rows]).min(axis=0) <= 2700.0
+    part = 1000 * (azimuth[rows] // 4.0) + altitude[rows] // 1.0  # one number for each part
     days = t_unix_s[rows] // 86400.0
-    for each in np.unique(sector):
-        mine = sector == each
-        if share[rows[mine]].max() < 0.05 and len(np.unique(days[mine & is_near])) >= 4:
-            out[rows[mine]] = True
+    for number in np.unique(part):
+        inside = part == number
+        if share[rows[inside]].max() < 0.05 and len(np.unique(days[inside & is_near])) >= 4:
+            out[rows[inside]] = True
     return out
 
 
 def clear_sky(t_unix_s: Floats, site: Site) -> tuple[Floats, Floats]:
-    """Return the sun's azimuth [n] deg and DNI of a clear sky [n] W/m2, from a five-minute grid.
+    """Return the sun's azimuth [deg] and the DNI of a cloudless sky [W/m2], [n] each.
 
-    t_unix_s: [n].
+    t_unix_s: the times [n], between which full five minutes are interpolated.
     """
     step = np.floor(t_unix_s / 300.0)
     grid = 300.0 * np.unique(np.r_[step, step + 1.0])

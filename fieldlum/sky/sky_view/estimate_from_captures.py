@@ -7,8 +7,9 @@ sky, partly open, shut, or undecided, and checks the result with the discs in th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from datetime import date, datetime
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -27,6 +28,7 @@ from fieldlum.sky.sky_view.sky_directions import (
     BEAM_LX,
     MIN_CAPTURES,
     SOME,
+    Followed,
     SkyReference,
     away_from_sun,
     dark_shares,
@@ -67,7 +69,7 @@ _FORWARD_SCATTER = 0.6
 _SHADED, _HALF_SHADED = 0.33, 0.6
 # Shares of the sky in view: so dark that a capture is through a blind; and worth a note. Chosen.
 _COVERED_SHARE, _SOME_SKY = 0.2, 0.02
-_NEW_YEAR = date(2027, 1, 1).toordinal()  # of a year without a leap day
+_BEFORE_YEAR = date(2026, 12, 31).toordinal()  # the day before a year without a leap day
 # Of the sky's luminance, in the window: more passes no opening, whatever the errors above; less is
 # darker than electrochromic glass, and 1/179 is what W/sr/m2 taken for cd/m2 give. Chosen. A window
 # is 13 to 79 times as bright as the median of the picture in 22 rooms of other renderers, and other
@@ -106,10 +108,10 @@ def sky_view_of(
 ) -> SkyView:
     """Return the sky view of captures, with one for each state of blinds and tint.
 
-    Captures with snow are not used, unless all are so. Without a capture of the usual state, the
-    most frequent one stands for it. discs: that merge measured; heading_deg: stated azimuth of the
-    pictures' centre column; seen: as of `estimate`. Raises NotEnoughDataError without a capture by
-    daylight.
+    Captures with snow are not used, unless all captures by daylight have it. Without a capture of
+    the usual state, the most frequent state is the main view. discs: those that merge measured;
+    heading_deg: stated azimuth of the pictures' centre column; seen: as of `estimate`. Raises
+    NotEnoughDataError without a capture by daylight, which is over 1 000 lx of diffuse light.
     """
     states = captured.light.states or ("",) * len(captured.light)
     lit = np.flatnonzero(captured.light.diffuse_lx > BEAM_LX).tolist()
@@ -137,22 +139,23 @@ def sky_view_of(
 
 
 def partly_hidden(discs: MeasuredDiscs, captured: Captured) -> MeasuredDiscs:
-    """Return the discs, less certain the less of them a picture shows: an edge moves their centre.
+    """Return the discs with a larger uncertainty where an edge hides a part of the disc.
 
-    captured: the captures, with the share of the disc that each picture shows. An edge that hides a
-    share h moves the centre of what is left by 0.85 to 0.93 h of the radius. Three discs or more
-    show how much a pane lets pass; else clear glass is assumed.
+    captured: the captures, with the share of the beam that each disc has. An edge that hides a
+    share h of the disc moves the centre of the visible part by 0.85 to 0.93 h of the radius. Of
+    three discs or more the brightest is taken as not hidden; with fewer, the glass is taken as
+    clear.
     """
     if not len(discs):
         return discs
     captures_s = np.array([t.timestamp() for t in captured.light.t_utc])
     discs_s = np.array([t.timestamp() for t in discs.t_utc])
-    apart_s = np.abs(discs_s[:, None] - captures_s)
+    apart_s = np.abs(discs_s[:, None] - captures_s)  # [discs, captures]
     shares = np.nan_to_num(captured.disc_share)[apart_s.argmin(axis=1)]
     measured = (apart_s.min(axis=1) < _BRACKET_S) & (shares > 0.0)
-    # share of the light that a pane lets pass of a disc that is not hidden
-    whole = CLEAR_GLASS if measured.sum() < MIN_DISCS else min(shares[measured].max(), CLEAR_GLASS)
-    hidden = np.where(measured, np.clip(1.0 - shares / whole, 0.0, 1.0), 0.0)
+    # share of the beam that a disc in full view has behind the pane
+    full = CLEAR_GLASS if measured.sum() < MIN_DISCS else min(shares[measured].max(), CLEAR_GLASS)
+    hidden = np.where(measured, np.clip(1.0 - shares / full, 0.0, 1.0), 0.0)
     moved_deg = 0.87 * np.degrees(SUN_RADIUS_RAD) * hidden
     return replace(discs, sigma_deg=np.hypot(discs.sigma_deg, moved_deg))
 
@@ -166,21 +169,22 @@ def estimate(
 ) -> SkyView:
     """Return the sky view of captures by daylight in one state of the room, with its seasons.
 
-    seen: returns, for directions [p, 3], whether a lens saw them; where a lens saw a direction, but
-    no sky picture has it, merge found it too dark for the sky. pose: of the camera, None for the
-    stated heading. latitude_deg: of the room; the sun never reaches some directions. usual: the
-    view of the usual state, with the same pose, if the captures are of another.
+    seen: returns a mask [p] of the directions [p, 3] that a lens saw; where a lens saw a direction,
+    but no sky picture has it, merge found it too dark for the sky. pose: of the camera, None for
+    the stated heading. latitude_deg: of the room, which limits the directions that the sun reaches;
+    None if unknown. usual: the view of the usual state, with the same pose, if the captures are of
+    another state.
     """
-    stack = _stack(captured, seen, usual)
+    stack = _stack(captured, seen, usual, latitude_deg)
     pose = pose or CameraPose(axis_deg=stack.grid.heading_deg)
     covered = np.zeros(len(stack.light), bool) if usual else _covered(stack, pose)
     rest = np.setdiff1d(np.arange(len(captured.light)), stack.rows[covered])
     covered_utc = stack.light[covered].t_utc
     stack = stack.take(np.flatnonzero(~covered)) if covered.any() else stack
-    decided = _decided(stack, pose, latitude_deg)
+    decided = _decided(stack, pose)
     if usual is None and (turned := _turned(stack, decided.view)) is not pose:
-        decided = _decided(stack, turned, latitude_deg)
-    decided = _over_seasons(decided, stack, latitude_deg)
+        decided = _decided(stack, turned)
+    decided = _over_seasons(decided, stack)
     view = _checked(decided, captured.take(rest.tolist()), covered_utc)
     return replace(view, notes=(*_notes_on_level(decided.reference.brightest, stack), *view.notes))
 
@@ -191,20 +195,23 @@ def estimate(
 
 @dataclass(frozen=True, slots=True)
 class _Stack:
-    """Pictures of n captures in `light` on one grid, only pixels `kept` that have a value.
+    """Pictures of n captures on one grid: luminances of the p pixels that have a value.
 
-    rows [n]: indices of the captures among those given. luminance_cdm2 [n, p]: NaN where clipped or
-    not seen. dark [h, w]: pixels that a lens saw, but that no picture has; usually [h, w]: upper
-    bound of the beam's share in the usual state, 0 if the pictures are of that.
+    light: outside at the n captures; rows [n]: their indices in `Captured`; kept [h, w]: the p
+    pixels. luminance_cdm2 [n, p]: NaN where clipped or not seen. dark [h, w]: pixels that a lens
+    saw, but that no picture has, because they are too dark; usually [h, w]: upper bound of the
+    beam's share in the usual state of the room, 0 if the pictures are of that state. latitude_deg:
+    of the place, None if the sun's path is not to be used.
     """
 
     grid: SkyGrid
     light: Light
     rows: Indices
-    kept: Mask  # [h, w]
+    kept: Mask
     dark: Mask
     usually: Floats
     luminance_cdm2: Floats32
+    latitude_deg: float | None
 
     def placed(self, values: Array) -> Floats:
         """Return values [p] on the grid, [h, w], NaN for other pixels."""
@@ -213,24 +220,27 @@ class _Stack:
         return out
 
     def take(self, index: Indices) -> _Stack:
-        """Return the pictures with some indices."""
+        """Return the pictures of the captures with some indices, from 0."""
         light, luminance = self.light[index], self.luminance_cdm2[index]
         return replace(self, light=light, rows=self.rows[index], luminance_cdm2=luminance)
 
     @property
     def columns(self) -> Indices:
-        """Column of each pixel in the pictures, flat [h w]."""
+        """Column of each pixel of the grid in `luminance_cdm2`, [h w]; of others any column."""
         return np.maximum(np.cumsum(self.kept) - 1, 0)
 
 
 def _stack(
-    captured: Captured, seen: Callable[[Floats], Mask] | None, usual: SkyView | None
+    captured: Captured,
+    seen: Callable[[Floats], Mask] | None,
+    usual: SkyView | None,
+    latitude_deg: float | None,
 ) -> _Stack:
-    """Return the captures' luminances in the directions of one grid, as many as fit in memory.
+    """Return the captures' pictures on one grid; of more than fit in memory, evenly spread ones.
 
-    seen: which directions [p, 3] a lens saw, None if that is unknown; usual: view of the room's
-    usual state, whose grid is taken over. A pixel is kept if one of three captures (first, middle,
-    last) has its value.
+    The grid is that of `usual`, the view of the room's usual state, or else the largest of three
+    pictures (first, middle, last). A pixel is kept if one of these three has its value. seen: as of
+    `estimate`, None if it is unknown what a lens saw.
     """
     count = len(captured.light)
     samples = [captured.read(k) for k in sorted({0, count // 2, count - 1})]
@@ -246,21 +256,21 @@ def _stack(
         progress(n, len(rows), "sky view")
         picture = captured.read(k)
         values = _placed(picture, grid)
-        # what merge left out as too dark is between 0 and this: half of it
+        # what merge left out as too dark is between 0 and dark_cdm2: take the middle
         values = np.where(np.isnan(values) & in_lens, 0.5 * picture.dark_cdm2, values)
         luminance[n] = np.where(np.isinf(values), np.nan, values)[kept]  # infinite: clipped
     usually = np.zeros(kept.shape) if usual is None else np.nan_to_num(usual.high)
-    return _Stack(grid, captured.light[rows], rows, kept, in_lens & ~kept, usually, luminance)
+    light, dark = captured.light[rows], in_lens & ~kept
+    return _Stack(grid, light, rows, kept, dark, usually, luminance, latitude_deg)
 
 
 def _placed(picture: SkyPicture, grid: SkyGrid) -> Floats32:
-    """Return a picture's luminance on a grid: NaN not seen, infinite clipped."""
+    """Return a picture's luminance on a grid, [h, w]; NaN if not seen, infinite if clipped."""
     shown = np.where(picture.clipped, np.float32(np.inf), picture.luminance_cdm2)
     if picture.grid == grid:
         return shown
-    i, j = (np.floor(at).astype(int) for at in picture.grid.pixels(grid.rays()))
-    inside = (i >= 0) & (i < shown.shape[0]) & (j < shown.shape[1])
-    return np.where(inside, shown[np.where(inside, i, 0), np.where(inside, j, 0)], np.nan)
+    inside, row, column = picture.grid.indices(grid.rays())
+    return np.where(inside, shown[row, column], np.nan)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -269,11 +279,12 @@ def _placed(picture: SkyPicture, grid: SkyGrid) -> Floats32:
 
 @dataclass(frozen=True, slots=True)
 class _Decided:
-    """A sky view before the discs in captures, and directions that it does not decide [h, w].
+    """A sky view before it is compared with captured discs, and how it came about.
 
-    sky: follows the sky; bright: follows neither the sky nor other light; scatters: a curtain;
-    reference: sky in view. changes: open in one season and shut in another, None before seasons are
-    compared; seasons: views that hold only near their days.
+    Masks [h, w] of directions: sky, whose luminance follows the sky's; bright, which may be sky but
+    follow it no better than other light; scatters, behind a curtain or fabric; changes, open in one
+    season and shut in another (None before seasons are compared). reference: the sky in view;
+    seasons: views that hold only near their days.
     """
 
     view: SkyView
@@ -285,85 +296,94 @@ class _Decided:
     seasons: tuple[SkyView, ...] = ()
 
 
-def _decided(
-    stack: _Stack,
-    pose: CameraPose,
-    latitude_deg: float | None,
-    reference: SkyReference | None = None,
-) -> _Decided:
-    """Return openness, transmittance and bounds in each direction.
+def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = None) -> _Decided:
+    """Return the view that the pictures give: openness, transmittance and bounds by direction.
 
-    stack: the pictures; pose: of the camera; latitude_deg: of the place, None if the sun's path is
-    not to be used; reference: sky that is known to be in view, None to find it. Maps [h, w].
+    pose: of the camera; reference: the sky that is in view, None to find it in the pictures.
     """
-    luminance, light, step_deg = stack.luminance_cdm2, stack.light, stack.grid.step_deg
-    rays = pose.true_directions(stack.grid.rays()[stack.kept])
-    reference = reference or sky_reference(luminance, light, rays)
-    seen = follow(luminance, light, rays, reference)
-    ratio, spread = stack.placed(seen.ratio), stack.placed(seen.spread)
-    relative = ratio / reference.brightest  # NaN if nothing follows the sky
-    sky = (spread < _FOLLOWS) & (relative > _PANE_SHARE)
-    pane = np.minimum(pane_transmittance(ratio, sky, step_deg), 1.0)  # [h, w]
-    # openness, and its standard uncertainty u
-    openness, u = np.where(sky, np.clip(ratio / pane, 0.0, 1.0), 0.0), np.zeros(sky.shape)
-    mixed = _sky_and_edge(sky) & ~np.isnan(ratio) & (openness < _OPEN)
-    shut = stack.kept & ~_sky_and_edge(sky)
-    if mixed.any() and shut.any():
-        at, in_front = stack.columns[mixed.ravel()], stack.columns[_nearest(shut)[mixed]]
-        open_sky = reference.sky(light, rays[at]) * pane[mixed].astype(np.float32)
-        shown = away_from_sun(luminance[:, at], light, rays[at])
-        openness[mixed], u[mixed] = sky_share(shown, open_sky, luminance[:, in_front])
-    openness[openness < _SHUT] = 0.0
-    low, high = _bounds(openness, u, mixed, pane, step_deg)
-    apart = ~sky & ~mixed & (stack.placed(_sun_passes(rays, latitude_deg, pose)) > 0.0)
+    rays = pose.true_directions(stack.grid.rays()[stack.kept])  # [p, 3]
+    reference = reference or sky_reference(stack.luminance_cdm2, stack.light, rays)
+    by_pixel = follow(stack.luminance_cdm2, stack.light, rays, reference)  # [p]
+    followed = Followed(*map(stack.placed, astuple(by_pixel)))  # [h, w]
+    ratio, brightest = followed.ratio, reference.brightest  # NaN brightest: nothing follows the sky
+    sky = (followed.spread < _FOLLOWS) & (ratio / brightest > _PANE_SHARE)
+    pane = np.minimum(pane_transmittance(ratio, sky, stack.grid.step_deg), 1.0)
+    openness, u, mixed = _openness(stack, rays, reference, ratio, sky, pane)
+    low, high = _bounds(openness, u, mixed, pane, stack.grid.step_deg)
+    apart = ~sky & ~mixed & (stack.placed(_sun_passes(rays, stack.latitude_deg, pose)) > 0.0)
     # slats that are finer than a pixel show a disc at some heights of the sun: until there is more
     # evidence, between none and the disc without them
     slats = apart & (stack.usually > 0.0) & (ratio > _PANE_SHARE)
     high = np.where(slats, np.maximum(high, stack.usually), high)
-    apart &= ~slats
-    scatters = apart & (stack.placed(seen.forward) > _FORWARD_SCATTER) & (relative > _SCATTER_SHARE)
-    doubt = 1.0 + _FEW_CAPTURES / np.maximum(stack.placed(seen.count), 1.0)
-    is_bright = ratio > _BRIGHT_SHARE * min(reference.brightest, 1.0)  # a pane's at most 1
-    bright = apart & is_bright & (spread < _FOLLOWS_NOT * doubt)
-    bright |= np.isnan(relative) & (ratio > _BRIGHT_SHARE)
-    few = stack.placed(seen.count) < MIN_CAPTURES
-    low = np.where(few, 0.0, low)
-    high = np.where(scatters | bright | few, np.clip(1.3 * doubt * ratio, high, 1.0), high)
-    u = np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0)
-    count = np.where(stack.dark, len(light), stack.placed(seen.count))
-    blind = np.isnan(ratio) & ~stack.dark
-
-    def channel(values: Floats) -> Floats32:
-        return np.where(blind, np.nan, values).astype(np.float32)
-
-    view = SkyView(
-        stack.grid,
-        openness=channel(openness),
-        u=channel(u),
-        count=channel(count),
-        transmittance=channel(np.where(stack.dark, 0.0, pane)),
-        low=channel(low),
-        high=channel(high),
-        captures=len(light),
-        pose=pose,
-    )
+    doubt = 1.0 + _FEW_CAPTURES / np.maximum(followed.count, 1.0)  # 1 with very many captures
+    scatters, bright = _undecided(followed, brightest, apart & ~slats, doubt)
+    few = followed.count < MIN_CAPTURES
+    widest = np.clip(1.3 * doubt * ratio, high, 1.0)  # with a margin of 30 %
+    channels: dict[str, Any] = {
+        "openness": openness,
+        "u": np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0),
+        "count": np.where(stack.dark, len(stack.light), followed.count),
+        "transmittance": np.where(stack.dark, 0.0, pane),
+        "low": np.where(few, 0.0, low),
+        "high": np.where(scatters | bright | few, widest, high),
+    }
+    not_seen = np.isnan(ratio) & ~stack.dark
+    for name, values in channels.items():
+        channels[name] = np.where(not_seen, np.nan, values).astype(np.float32)
+    view = SkyView(stack.grid, captures=len(stack.light), pose=pose, **channels)
     return _Decided(view, sky, bright, scatters, reference)
 
 
-def _day(light: Light) -> Indices:
-    """Return the day of the year of n hours, from 1, [n]."""
-    return np.array([t.timetuple().tm_yday for t in light.t_utc], int)
+def _openness(
+    stack: _Stack, rays: Floats, reference: SkyReference, ratio: Floats, sky: Mask, pane: Floats
+) -> tuple[Floats, Floats, Mask]:
+    """Return the share of open sky, its standard uncertainty, and the mixed pixels, [h, w] each.
+
+    A mixed pixel shows sky and what is in front of it: its share is fitted to all captures, with
+    the nearest opaque pixel as the foreground. rays: true directions of the pixels kept [p, 3];
+    ratio: luminance over the sky's; sky: mask of what follows it; pane: transmittance; [h, w] each.
+    """
+    openness, u = np.where(sky, np.clip(ratio / pane, 0.0, 1.0), 0.0), np.zeros(sky.shape)
+    sky_and_edge = np.asarray(ndimage.binary_dilation(sky, np.ones((3, 3))), bool)
+    mixed = sky_and_edge & ~np.isnan(ratio) & (openness < _OPEN)
+    opaque = stack.kept & ~sky_and_edge
+    if mixed.any() and opaque.any():
+        at, in_front = stack.columns[mixed.ravel()], stack.columns[_nearest(opaque)[mixed]]
+        open_sky = reference.sky(stack.light, rays[at]) * pane[mixed].astype(np.float32)
+        shown = away_from_sun(stack.luminance_cdm2[:, at], stack.light, rays[at])
+        openness[mixed], u[mixed] = sky_share(shown, open_sky, stack.luminance_cdm2[:, in_front])
+    openness[openness < _SHUT] = 0.0
+    return openness, u, mixed
+
+
+def _undecided(
+    followed: Followed, brightest: float, apart: Mask, doubt: Floats
+) -> tuple[Mask, Mask]:
+    """Return masks [h, w] of what scatters, such as a curtain, and of what is bright as sky.
+
+    followed: maps [h, w]; brightest: ratio of the brightest sky, NaN if nothing follows the sky;
+    apart: directions that the sun passes and that are neither sky nor mixed [h, w]; doubt: factor
+    on the limit for what may be sky, larger with few captures [h, w].
+    """
+    is_forward = followed.forward > _FORWARD_SCATTER
+    scatters = apart & is_forward & (followed.ratio / brightest > _SCATTER_SHARE)
+    is_bright = followed.ratio > _BRIGHT_SHARE * min(brightest, 1.0)  # a pane's at most 1
+    bright = apart & is_bright & (followed.spread < _FOLLOWS_NOT * doubt)
+    if np.isnan(brightest):
+        bright |= followed.ratio > _BRIGHT_SHARE
+    return scatters, bright
 
 
 def _season(light: Light) -> Indices:
     """Return the quarter of the year, centred on solstices (0: 21 December) and equinoxes, [n]."""
-    return np.round((_day(light) + 10) / 91.3).astype(int) % 4
+    return np.round((light.day_of_year + 10) / 91.3).astype(int) % 4
 
 
 def _covered(stack: _Stack, pose: CameraPose) -> Mask:
-    """Return the captures in which a large part of the sky is dark, unlike in its season, [n].
+    """Return a mask [n] of captures in which much more of the sky is dark than usual in the season.
 
-    A blind that nobody marked hides it, or a tint. Once three show it clearly, less is enough.
+    An unmarked blind or a tint hides it. If three or more captures show it by a luminance below a
+    third of the usual, then those below 0.6 of it are in the mask too.
     """
     step = max(1, stack.luminance_cdm2.shape[1] // (4 * SOME))
     rays = pose.true_directions(stack.grid.rays()[stack.kept][::step])
@@ -377,54 +397,72 @@ def _covered(stack: _Stack, pose: CameraPose) -> Mask:
     return covered
 
 
-def _over_seasons(decided: _Decided, stack: _Stack, latitude_deg: float | None) -> _Decided:
+def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
     """Return the view with wider bounds where sky of one season is dark in another, as by leaves.
 
     No capture shows when leaves come and fall: bounds there are from no disc to that of open sky.
-    The seasons that were captured decide it for their own days. decided: the view of all captures,
-    whose pictures are `stack`; latitude_deg: as for `_decided`.
+    A season with enough captures gets a view of its own, for the days around them. decided: the
+    view of all captures, whose pictures are `stack`.
     """
-    view, light, season = decided.view, stack.light, _season(stack.light)
-    parts = [np.flatnonzero(season == k) for k in range(4)]
-    parts = [rows for rows in parts if len(rows) >= MIN_CAPTURES]
-    if len(parts) < 2 or not decided.sky.any():
+    view, season = decided.view, _season(stack.light)
+    groups = [np.flatnonzero(season == k) for k in range(4)]
+    groups = [rows for rows in groups if len(rows) >= MIN_CAPTURES]
+    if len(groups) < 2 or not decided.sky.any():
         return decided
+    year = decided.reference
+    seasonal = [(rows, replace(year, log_ratio=year.log_ratio[rows])) for rows in groups]
+    # the foreground indoors is darker than half of the sky behind a pane
+    pane_sky = 0.5 * float(np.median(view.through[decided.sky]))
     rays = view.pose.true_directions(stack.grid.rays()[stack.kept])
-    # real skies of a season are within 40 % of Perez's; indoors is darker than half of a pane's sky
-    pane_sky = 0.5 * np.median(view.through[decided.sky])
-    by_perez = (
-        stack.luminance_cdm2[rows] / np.maximum(light[rows].sky_at(rays), 1e-3) for rows in parts
-    )
-    quick = np.array([nan_percentiles(ratio, (50.0,))[0] for ratio in by_perez])
-    likely = (quick.min(axis=0) < 0.7 * quick.max(axis=0)) & (quick.max(axis=0) > 0.7 * pane_sky)
-    sky, whole = np.zeros(len(rays)), decided.reference
-    references = [replace(whole, log_ratio=whole.log_ratio[rows]) for rows in parts]
-    for rows, reference in zip(parts, references, strict=True) if likely.any() else ():
-        luminance = stack.luminance_cdm2[rows][:, likely]
-        seen = follow(luminance, light[rows], rays[likely], reference)
-        sky[likely] = np.maximum(sky[likely], np.where(seen.spread < _FOLLOWS, seen.ratio, 0.0))
-    hidden = [stack.placed(dark) > 0.0 for dark in quick < 0.5 * sky]
+    usual, sky = _seasonal_ratios(stack, rays, seasonal, pane_sky)
+    hidden = [stack.placed(dark) > 0.0 for dark in usual < 0.5 * sky]  # [h, w] for each season
     changes = np.any(hidden, axis=0) & (stack.placed(sky) > pane_sky)
     low = np.where(changes, np.float32(0.0), view.low)
     highest = np.clip((1.0 + 2.0 * _SCALE_SD) * stack.placed(sky), view.high, 1.0)
     high = np.where(changes, highest, view.high).astype(np.float32)
     view, seasons = replace(view, low=low, high=high), []
-    if changes.sum() < _SOME_SKY * decided.sky.sum() or not changes.any():
+    if changes.sum() < _SOME_SKY * decided.sky.sum():
         return replace(decided, view=view)
-    for rows, reference, dark in zip(parts, references, hidden, strict=True):
+    for (rows, reference), dark in zip(seasonal, hidden, strict=True):
         if len(rows) < _OF_SEASON:
             continue
-        alone = _decided(stack.take(rows), view.pose, latitude_deg, reference)
+        alone = _decided(stack.take(rows), view.pose, reference)
         of_season = alone.view.where(changes & (alone.sky | dark), view)
-        seasons.append(replace(of_season, days=tuple(sorted({*_day(light[rows]).tolist()}))))
+        days = np.unique(stack.light[rows].day_of_year).tolist()
+        seasons.append(replace(of_season, days=tuple(days)))
     return replace(decided, view=view, changes=changes, seasons=tuple(seasons))
 
 
-def _sun_passes(rays: Floats, latitude_deg: float | None, pose: CameraPose) -> Mask:
-    """Return where the sun passes on some day of the year, of directions [p, 3]; True if unknown.
+def _seasonal_ratios(
+    stack: _Stack, rays: Floats, seasonal: Sequence[tuple[Indices, SkyReference]], pane_sky: float
+) -> tuple[Floats, Floats]:
+    """Return each season's median ratio to Perez's sky [k, p], and the largest that is sky [p].
 
-    It stays within the tropics' declination; the camera's heading and level have uncertainties.
-    latitude_deg: of the place, None: unknown.
+    seasonal: the captures of each of k seasons, and the sky that is in view then; rays: of the
+    pixels kept [p, 3]; pane_sky: half of the ratio behind a pane. The second is 0 where no season
+    shows sky, and where the first shows that the seasons are alike.
+    """
+    by_perez = (
+        stack.luminance_cdm2[rows] / np.maximum(stack.light[rows].sky_at(rays), 1e-3)
+        for rows, _ in seasonal
+    )
+    usual = np.array([nan_percentiles(ratio, (50.0,))[0] for ratio in by_perez])
+    # real skies of a season are within 40 % of Perez's
+    differs = usual.min(axis=0) < 0.7 * usual.max(axis=0)
+    likely = differs & (usual.max(axis=0) > 0.7 * pane_sky)
+    sky = np.zeros(len(rays))
+    for rows, reference in seasonal:
+        luminance = stack.luminance_cdm2[rows][:, likely]
+        seen = follow(luminance, stack.light[rows], rays[likely], reference)
+        sky[likely] = np.maximum(sky[likely], np.where(seen.spread < _FOLLOWS, seen.ratio, 0.0))
+    return usual, sky
+
+
+def _sun_passes(rays: Floats, latitude_deg: float | None, pose: CameraPose) -> Mask:
+    """Return a mask [p] of directions that the sun reaches on some day of the year.
+
+    These are the ones between the declinations of the two solstices, widened by the uncertainty of
+    the camera's heading and level. rays: [p, 3]; latitude_deg: of the place; None gives all True.
     """
     if latitude_deg is None:
         return np.ones(len(rays), bool)
@@ -434,12 +472,15 @@ def _sun_passes(rays: Floats, latitude_deg: float | None, pose: CameraPose) -> M
 
 
 def _turned(stack: _Stack, view: SkyView) -> CameraPose:
-    """Return the pose with the heading by the open sky, if discs do not give it better."""
+    """Return the view's pose, with a heading by the open sky unless discs give a better one.
+
+    It is the same object if the heading does not change.
+    """
     if view.pose.heading_sd_deg < MIN_U_DEG:
         return view.pose
-    inside = int(np.ceil(0.5 / stack.grid.step_deg))  # half a degree from an edge
+    margin_px = int(np.ceil(0.5 / stack.grid.step_deg))  # half a degree from an edge
     open_sky = stack.kept & (view.openness >= _OPEN)
-    at = np.flatnonzero(ndimage.binary_erosion(open_sky, np.ones((3, 3)), iterations=inside))
+    at = np.flatnonzero(ndimage.binary_erosion(open_sky, np.ones((3, 3)), iterations=margin_px))
     at = at[:: max(1, len(at) // SOME)]
     rays = view.pose.true_directions(stack.grid.rays().reshape(-1, 3)[at])
     luminance = stack.luminance_cdm2[:, stack.columns[at]]
@@ -447,13 +488,8 @@ def _turned(stack: _Stack, view: SkyView) -> CameraPose:
     return view.pose if correction is None else view.pose.with_heading(*correction)
 
 
-def _sky_and_edge(sky: Mask) -> Mask:
-    """Return a mask [h, w] of the pixels that are sky or touch it, diagonally too."""
-    return np.asarray(ndimage.binary_dilation(sky, np.ones((3, 3))), bool)
-
-
 def _nearest(marked: Mask) -> Indices:
-    """Return the flat index of the nearest marked pixel, [h, w]."""
+    """Return, for each pixel of a map, the flat index of the nearest marked one, [h, w]."""
     found = np.empty((2, *marked.shape), np.int32)
     ndimage.distance_transform_edt(
         ~marked, return_distances=False, return_indices=True, indices=found
@@ -464,14 +500,15 @@ def _nearest(marked: Mask) -> Indices:
 def _bounds(
     openness: Floats, u: Floats, mixed: Mask, pane: Floats, step_deg: float
 ) -> tuple[Floats, Floats]:
-    """Return 95 % bounds of the beam's share, [h, w] each.
+    """Return the lower and upper 95 % bound of the share of the beam that arrives, [h, w] each.
 
     openness, u: share of open sky and its standard uncertainty; mixed: pixels of sky and edge;
-    pane: transmittance; all [h, w]; step_deg: size of a pixel. A mixed pixel blurs what its
-    neighbours show, and one that is larger than the sun's disc may show all of it or none. So may
-    an open pixel of a lens between two such: a gap between slats.
+    pane: transmittance; all [h, w]; step_deg: size of a pixel. A mixed pixel is blurred with its
+    neighbours. If it is larger than the sun's disc, all of the disc or none may be visible in it;
+    so too in an open pixel between two mixed ones, a gap between slats, in a lens's own pixels.
     """
-    blurred_deg = step_deg * (2.0 if step_deg < LENS_PIXEL_DEG else 1.0)  # over which it is a mean
+    # a pixel is the mean over this angle: a lens blurs over two of its pixels
+    blurred_deg = step_deg * (2.0 if step_deg < LENS_PIXEL_DEG else 1.0)
     pixel_sr = np.radians(blurred_deg) ** 2
     if blurred_deg > step_deg and pixel_sr > SUN_SOLID_ANGLE_SR:
         mixed = mixed | ((openness >= _OPEN) & between(mixed))
@@ -485,18 +522,19 @@ def _bounds(
 
 
 def _notes_on_level(level: float, stack: _Stack) -> list[str]:
-    """Return a warning if no glass passes `level`, and a note if only dark glass does.
+    """Return a warning if no glass explains `level`, a note if only dark glass does, or nothing.
 
-    level: luminance of the brightest sky in the window over the expected one. Merge cuts out
-    bright places only: its pictures (`dark`) do not show a window's contrast.
+    level: luminance of the brightest sky in the window over that expected from the irradiance, NaN
+    without sky. The window's contrast is tested only in complete pictures: those that merge cuts
+    out (where some pixels are `dark`) have bright places only.
     """
     if len(stack.light) < MIN_CAPTURES:
         return []
-    is_window = not stack.dark.any()
-    if is_window and level < _TOO_DARK:
+    is_impossible = level > _TOO_BRIGHT
+    if level < _TOO_DARK and not stack.dark.any():
         usual = nan_percentiles(stack.luminance_cdm2, (50.0,))[0]
-        is_window = np.nanmax(usual) > _WINDOW_CONTRAST * np.nanmedian(usual)
-    if not (level > _TOO_BRIGHT or (is_window and level < _TOO_DARK)):  # NaN without sky
+        is_impossible = np.nanmax(usual) > _WINDOW_CONTRAST * np.nanmedian(usual)
+    if not is_impossible:
         if not _TOO_DARK < level < _CLEAR_GLASS:
             return []
         return [
@@ -512,7 +550,7 @@ def _notes_on_level(level: float, stack: _Stack) -> list[str]:
 
 
 def _notes(decided: _Decided) -> tuple[str, ...]:
-    """Return sentences for the user on what the captures do not decide, and which would."""
+    """Return sentences for the user: what the captures leave undecided, and which to add."""
     sky, scatters, captures = decided.sky, decided.scatters, decided.view.captures
     notes = []
     if captures < MIN_CAPTURES:
@@ -544,10 +582,10 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
         )
     if decided.changes is not None:
         share = (decided.changes * weight).sum() / max((sky * weight).sum(), 1e-9)
-        day = np.arange(365)
-        away = [view.days_from(day + 1) for view in decided.seasons]
+        day = np.arange(1, 366)
+        away = [view.days_from(day) for view in decided.seasons]
         far = np.min([np.full(365, 365), *away], axis=0) > REACH_DAYS
-        months = {date.fromordinal(_NEW_YEAR + int(k)).replace(day=1) for k in day[far]}
+        months = {date.fromordinal(_BEFORE_YEAR + int(k)).replace(day=1) for k in day[far]}
         notes.append(
             f"{100 * share:.0f} % of the sky in view is open in one season and hidden in another "
             f"(leaves): captures decide it for {REACH_DAYS} days before and after them; whether "
@@ -564,8 +602,8 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
 def _checked(decided: _Decided, captured: Captured, covered: Sequence[datetime]) -> SkyView:
     """Return the view and its seasons, corrected where captures show a disc or none.
 
-    Contradictions are named, and captures through a blind that nobody marked. covered: times of
-    such captures, which are not among `captured`.
+    Its notes name the captures that contradict it, and those through an unmarked blind. covered:
+    times of the latter, as far as they are known before and so not among `captured`.
     """
     strong = (captured.light.direct_lx > BEAM_LX) & ~np.isnan(captured.disc_share)
     captured = captured.take(np.flatnonzero(strong).tolist())
@@ -573,8 +611,8 @@ def _checked(decided: _Decided, captured: Captured, covered: Sequence[datetime])
     without = _panes_without_disc(decided.view, decided.scatters, suns, captured.disc_share)
     gain, views, contradictions = _gain(decided.view, captured), [], dict.fromkeys(covered, _DARK)
     for view in (decided.view, *decided.seasons):
-        holds = view.days_from(_day(captured.light)) <= REACH_DAYS + (not view.days)
-        then = captured.take(np.flatnonzero(holds).tolist())
+        holds = view.days_from(captured.light.day_of_year) <= REACH_DAYS
+        then = captured.take(np.flatnonzero(holds).tolist()) if view.days else captured
         corrected, contradictions_then = _corrected(_scaled(view, gain, without), then)
         views.append(corrected)
         contradictions |= contradictions_then
@@ -600,28 +638,30 @@ _DARK = "dark"  # what a capture through a blind shows
 
 
 def _gain(view: SkyView, captured: Captured) -> float:
-    """Return the factor of the transmittance by captured discs, as far as they are surer; else 1.
+    """Return the factor by which captured discs correct the transmittance; 1 without such discs.
 
-    Low suns count less, because their luminous efficacy is uncertain. Of two discs the larger
-    counts, of more the 60th percentile: an edge may hide a part. Fewer than three that are far off
-    show an edge between slats or leaves, not the pane.
+    It is the mean of their ratio to the view's discs and of 1, weighted by both uncertainties. Low
+    suns count less, because their luminous efficacy is uncertain. Of two discs the larger counts,
+    of more the 60th percentile: an edge may hide a part. If one or two discs are far from the
+    view's, they show an edge between slats or leaves, not the pane, and do not count.
     """
     disc = disc_of_hours(view, captured.light)
-    sure = captured.disc_share > _SHUT
-    sure &= (disc.low_lx > 0.5 * disc.best_lx) & (disc.best_lx > 0.0)
-    light = captured.light[sure]
-    off = np.log(captured.disc_share[sure] * light.direct_lx / disc.best_lx[sure])
+    is_clear = captured.disc_share > _SHUT
+    is_clear &= (disc.low_lx > 0.5 * disc.best_lx) & (disc.best_lx > 0.0)
+    light = captured.light[is_clear]
+    log_ratio = np.log(captured.disc_share[is_clear] * light.direct_lx / disc.best_lx[is_clear])
     weight = 1.0 / (_DISC_U**2 + efficacy_u(light) ** 2)
-    if len(off) < MIN_DISCS:
-        weight *= np.abs(off) < 2.0 * np.sqrt(_SCALE_SD**2 + 1.0 / weight)
+    if len(log_ratio) < MIN_DISCS:
+        weight *= np.abs(log_ratio) < 2.0 * np.sqrt(_SCALE_SD**2 + 1.0 / weight)
     if not weight.any():
         return 1.0
-    gain = -np.quantile(-off, 0.4, weights=weight, method="inverted_cdf")
-    return float(np.clip(np.exp(gain / (1.0 + 1.0 / (weight.sum() * _SCALE_SD**2))), 0.5, 1.5))
+    measured = -np.quantile(-log_ratio, 0.4, weights=weight, method="inverted_cdf")
+    shrunk = measured / (1.0 + 1.0 / (weight.sum() * _SCALE_SD**2))
+    return float(np.clip(np.exp(shrunk), 0.5, 1.5))
 
 
 def _scaled(view: SkyView, gain: float, without: Mask) -> SkyView:
-    """Return the view with another scale; no disc passes in the directions `without` [h, w]."""
+    """Return the view with transmittance and bounds times `gain`, shut where `without` [h, w]."""
     shares = np.where(without, np.float32(0.0), [view.openness, view.low, view.high])
     low, high = np.minimum(shares[1:] * np.float32(gain), 1.0)
     pane = np.minimum(view.transmittance * np.float32(gain), 1.0)
@@ -629,11 +669,13 @@ def _scaled(view: SkyView, gain: float, without: Mask) -> SkyView:
 
 
 def _corrected(view: SkyView, captured: Captured) -> tuple[SkyView, dict[datetime, str]]:
-    """Return the view, corrected where captures contradict it, with what they show by their times.
+    """Return the view, corrected where captures contradict it, and what those show by their times.
 
-    One that is dark at the sun's place, as through a blind, does not correct it.
+    A capture contradicts if it shows a disc where the view is shut, or none where it is open. The
+    directions of the sun's disc then get the captured share, with bounds of 20 %. A capture that is
+    dark at the sun's place, as through a blind, does not correct the view.
     """
-    light, rays, found = captured.light, view.grid.rays(), {}
+    light, rays, contradictions = captured.light, view.grid.rays(), {}
     arrays = {name: getattr(view, name).copy() for name in ("openness", "low", "high")}
     disc_deg = np.degrees(SUN_RADIUS_RAD) + 0.5 * view.grid.step_deg
     for k, sun in enumerate(view.pose.in_pictures(light.apparent_sun_direction)):
@@ -644,31 +686,31 @@ def _corrected(view: SkyView, captured: Captured) -> tuple[SkyView, dict[datetim
             continue
         missed = share > _SHUT >= view.high[near].max()
         if not missed and not share < _SHUT < view.low[near].min():
-            continue
+            continue  # no contradiction
         row, column = np.unravel_index(np.argmin(off_deg), off_deg.shape)
         shown = np.nan_to_num(_placed(captured.read(k), view.grid)[row, column])  # NaN: too dark
         sky_cdm2 = light[[k]].sky_at(light.apparent_sun_direction[[k]])[0, 0]
         if not missed and shown < _SHADED * view.transmittance[row, column] * sky_cdm2:
-            found[light.t_utc[k]] = _DARK
+            contradictions[light.t_utc[k]] = _DARK
             continue
-        found[light.t_utc[k]] = "a disc" if missed else "no disc"
+        contradictions[light.t_utc[k]] = "a disc" if missed else "no disc"
         pane = np.maximum(np.nan_to_num(view.transmittance[at]), _SHUT)
         arrays["openness"][at] = np.clip(share / pane, 0.0, 1.0)
         bounds = missed * np.minimum((0.8 * share, 1.2 * share), 1.0)
         arrays["low"][at], arrays["high"][at] = bounds
-    return replace(view, **arrays), found
+    return replace(view, **arrays), contradictions
 
 
 def _panes_without_disc(view: SkyView, scatters: Mask, suns: Floats, measured: Floats) -> Mask:
-    """Return the scattering panes in which three captures show no disc and none shows one, [h, w].
+    """Return a mask [h, w] of the scattering panes that show no disc in three captures or more.
 
-    suns [n, 3]; measured [n]: share of the beam. scatters: mask of the scattering panes [h, w].
+    None of the captures may show a disc in such a pane. suns [n, 3]: where the captures show the
+    sun; measured [n]: disc's share of the beam; scatters: mask of all scattering panes [h, w].
     """
     panes = np.empty(scatters.shape, np.int32)
     ndimage.label(scatters, output=panes)
-    row, column = view.grid.pixels(suns)
-    inside = (row >= 0) & (row < view.grid.height) & (column < view.grid.width)
-    at = panes[row[inside].astype(int), column[inside].astype(int)]
+    inside, row, column = view.grid.indices(suns)
+    at = panes[row[inside], column[inside]]  # pane in front of each sun, 0 for none
     shown = measured[inside] > _SHUT
     hidden = [k for k in np.unique(at[at > 0]) if (at == k).sum() >= 3 and not shown[at == k].any()]
     return np.isin(panes, hidden)
@@ -689,8 +731,10 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
     """Return the transmittance of the pane in each direction, [h, w].
 
     through: openness times transmittance, which is the result if no pane is large enough; sky: mask
-    of the directions that follow the sky; step_deg: size of a pixel. Connected directions are one
-    pane. One under three pixels wide may have no open pixel: it is as clear as the nearest wider.
+    of the directions that follow the sky; both [h, w]; step_deg: size of a pixel. Connected
+    directions are one pane, whose transmittance is the smoothed mean of its open pixels. A pane
+    under three pixels wide may have no open pixel: it gets that of the nearest wider pane, and what
+    is next to large panes gets theirs.
     """
     labels = np.empty(sky.shape, np.int32)
     count = int(ndimage.label(sky, np.ones((3, 3)), output=labels))  # pyright: ignore[reportArgumentType]

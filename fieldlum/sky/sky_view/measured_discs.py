@@ -9,7 +9,6 @@ by a good spirit level.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,8 +21,8 @@ from fieldlum.session import Session
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.sky import sun
 
-# Allowance for the lens model and the mount, which the sidecar's sigma_deg does not include
-# (docs/merge.md): discs are found to 0.03 degrees there, and no lens profile is better.
+# Allowance for the lens model and the mount, which the sidecar's sigma_deg does not include: merge
+# finds discs to 0.03 degrees (docs/merge.md), and no lens profile is better.
 MIN_U_DEG = 0.02
 
 
@@ -53,18 +52,16 @@ def read_discs(session: Session) -> MeasuredDiscs:
     Sidecars without a measured disc or without a time are skipped. sigma_deg is at least 0.02.
     Raises InputError for a damaged sidecar.
     """
-    rows = list(filter(None, map(_measured, session.sidecar_files())))
-    numbers = np.array([row[:3] for row in rows], float).reshape(-1, 3)
-    altitude, azimuth, sigma = numbers.T
-    return MeasuredDiscs(altitude, azimuth, sigma, tuple(row[3] for row in rows))
-
-
-def _measured(path: Path) -> tuple[float, float, float, datetime] | None:
-    sidecar = Sidecar.read(path)
-    measured = sidecar.sun.measured if sidecar.sun else None
-    if measured is None or (when := measured.t_utc or sidecar.t_utc) is None:
-        return None
-    return measured.altitude_deg, measured.azimuth_deg, max(measured.sigma_deg, MIN_U_DEG), when
+    times: list[datetime] = []
+    rows: list[tuple[float, float, float]] = []  # altitude, azimuth and uncertainty
+    for path in session.sidecar_files():
+        sidecar = Sidecar.read(path)
+        disc = sidecar.sun.measured if sidecar.sun else None
+        if disc is not None and (when := disc.t_utc or sidecar.t_utc) is not None:
+            times.append(when)
+            rows.append((disc.altitude_deg, disc.azimuth_deg, max(disc.sigma_deg, MIN_U_DEG)))
+    altitude, azimuth, sigma = np.array(rows, float).reshape(-1, 3).T
+    return MeasuredDiscs(altitude, azimuth, sigma, tuple(times))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -98,10 +95,7 @@ class PoseFit:
 
     @property
     def u(self) -> dict[str, float]:
-        """Return standard uncertainties by the names of `NAMES`; lens_scale has no unit.
-
-        The others have the unit at the end of the name.
-        """
+        """Standard uncertainties by the names of `NAMES`, in the unit at the end of each name."""
         return dict(zip(NAMES, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
 
     def __getitem__(self, name: str) -> float:
@@ -119,8 +113,8 @@ def fit_pose(
 
     discs: by the stated heading, level and lens. axis_deg: the stated azimuth of the lens's axis.
     prior_sd: standard uncertainties [5] before the fit, in the order of `NAMES`; each prior's mean
-    is 0. The sun's position is by NREL SPA. Gross errors (5 sigma) are omitted, as long as four
-    discs remain. Raises NotEnoughDataError for fewer than `minimum` discs.
+    is 0. The sun's position is by NREL SPA. Discs with gross errors (5 sigma) are omitted, if at
+    least four others remain. Raises NotEnoughDataError for fewer than `minimum` discs.
     """
     from scipy.optimize import least_squares
 
@@ -134,6 +128,7 @@ def fit_pose(
     shown = sun.direction(discs.altitude_deg - bent, discs.azimuth_deg)
     suns = sun.direction(place.altitude_deg, place.azimuth_deg)
     sigma, prior = np.radians(discs.sigma_deg)[:, None], np.asarray(prior_sd, float)
+    # excess: factor on the variance of the discs, by the scatter of the first fit
     keep, excess = np.ones(len(discs), bool), 1.0
 
     def off(values: Floats) -> Floats:  # measured minus true directions, in sigmas [n, 3]
@@ -141,23 +136,22 @@ def fit_pose(
         true = scaled(shown, scale, axis_deg) @ rotation(heading, tilt, roll, axis_deg).T
         return (true - sun_earlier(suns, clock, site.latitude_deg)) / sigma
 
-    def cost(units: Floats) -> Floats:  # of the values in units of the prior
+    def residuals(units: Floats) -> Floats:  # of discs and prior; units: values over prior_sd
         return np.append(off(units * prior)[keep] / np.sqrt(excess), units)
 
-    start = least_squares(cost, np.zeros(len(NAMES))).x
-    robust = least_squares(cost, start, loss="cauchy").x
+    start = least_squares(residuals, np.zeros(len(NAMES))).x
+    robust = least_squares(residuals, start, loss="cauchy").x
     distance = np.linalg.norm(off(robust * prior), axis=1)
     gross = distance > _GROSS_SIGMAS * max(1.0, float(np.median(distance)))
     if len(discs) - gross.sum() > MIN_DISCS:
         keep = ~gross
-    found = least_squares(cost, robust)
-    residual = off(found.x * prior)[keep]
+    fit = least_squares(residuals, robust)
+    residual = off(fit.x * prior)[keep]
     excess = max(1.0, float((residual**2).sum()) / max(2.0 * keep.sum() - len(NAMES), 1.0))
-    found = least_squares(cost, found.x)
-    covariance = np.linalg.inv(found.jac.T @ found.jac) * np.outer(prior, prior)
+    fit = least_squares(residuals, fit.x)
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac) * np.outer(prior, prior)
     rms_deg = np.degrees(np.sqrt(((residual * sigma[keep]) ** 2).sum(axis=1).mean()))
-    dropped = tuple(int(k) for k in np.flatnonzero(~keep))
-    return PoseFit(found.x * prior, covariance, float(rms_deg), dropped)
+    return PoseFit(fit.x * prior, covariance, float(rms_deg), tuple(np.flatnonzero(~keep).tolist()))
 
 
 def scaled(directions: Floats, scale: float, axis_deg: float) -> Floats:
@@ -166,8 +160,8 @@ def scaled(directions: Floats, scale: float, axis_deg: float) -> Floats:
     axis_deg: azimuth of the lens's axis; the angle of directions behind the camera is that from the
     axis of a second lens, which faces backwards.
     """
-    a = np.radians(axis_deg)
-    ahead = np.array([np.sin(a), np.cos(a), 0.0])
+    azimuth = np.radians(axis_deg)
+    ahead = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
     axis = np.where((directions @ ahead)[:, None] < 0.0, -ahead, ahead)  # [n, 3]
     cosine = (directions * axis).sum(axis=1)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))

@@ -1,4 +1,4 @@
-"""Hold the luminance around what can be sky, at the sensor's resolution, of one capture.
+"""Store one capture's luminance in the directions that can be sky, at the sensor's resolution.
 
 `merge` writes one file for each slot, panoramas/SLOT.sky.npz. For a csv of panoramas the picture is
 cut from the panorama, at the panorama's own size.
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.files import replacing
 from fieldlum.core.records import Flag, Panorama
 from fieldlum.optics.projection import altitude_azimuth_deg, direction
@@ -68,14 +68,23 @@ class SkyGrid:
         turn = (azimuth - self.heading_deg - self.first_azimuth_deg) % 360.0
         return row, turn / self.step_deg
 
+    def indices(self, towards: ArrayLike) -> tuple[Mask, Indices, Indices]:
+        """Return whether unit vectors [..., 3] are on the grid, their rows and columns, [...] each.
+
+        Row and column of directions that are not on the grid, or are NaN, are 0.
+        """
+        row, column = (np.floor(at).astype(np.intp) for at in self.pixels(towards))
+        inside = (row >= 0) & (row < self.height) & (column >= 0) & (column < self.width)
+        return inside, np.where(inside, row, 0), np.where(inside, column, 0)
+
 
 @dataclass(frozen=True, slots=True)
 class SkyPicture:
     """The luminance of one capture in the directions that can be sky.
 
-    luminance_cdm2 [h, w] : NaN where no lens saw or where merge did not keep it. clipped [h, w] :
-    True where the luminance is a lower bound. dark_cdm2 : what merge saw but did not keep is darker
-    than this; NaN if it kept all.
+    luminance_cdm2 [h, w] : NaN where no lens saw, or where merge omitted pixels as too dark for
+    sky. clipped [h, w] : True where the luminance is a lower bound. dark_cdm2 : the omitted pixels
+    are darker than this; NaN if none was omitted.
     """
 
     luminance_cdm2: Floats32
@@ -85,7 +94,7 @@ class SkyPicture:
 
 
 def write_sky_picture(path: Path, picture: SkyPicture) -> None:
-    """Write a picture as .npz: luminance coded in 16 bits, to 0.04 %."""
+    """Write a picture as .npz: log10 of luminance in codes of 16 bits, in steps of 0.04 %."""
     minimum, maximum = _LOG10_RANGE
     light = np.asarray(picture.luminance_cdm2, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):

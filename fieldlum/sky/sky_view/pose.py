@@ -1,4 +1,4 @@
-"""Estimate the camera's true pose from the sun's discs in its captures, and state what is open.
+"""Estimate the camera's true pose from the sun's discs in its captures, and what they leave open.
 
 Three discs determine heading, tilt, roll and the lens's scale. One or two leave a combination of
 them open, which the covariance and a sentence describe. Without a disc the pose is as stated.
@@ -15,6 +15,7 @@ from fieldlum.core.records import JsonTable, Site
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, rotation, signed_angle_deg
 from fieldlum.sky.sky_view.measured_discs import (
     MIN_DISCS,
+    NAMES,
     MeasuredDiscs,
     PoseFit,
     fit_pose,
@@ -39,9 +40,10 @@ _OPEN_DEG = 0.1  # a combination less certain than this is stated; half of the d
 class CameraPose:
     """The pose of a camera: corrections of the stated one, with their covariance.
 
-    heading_deg, tilt_deg, roll_deg: as of `projection.rotation`; lens_scale: true over stated angle
-    from the lens's axis, minus 1. covariance [4, 4]: of these four in this order. axis_deg: stated
-    azimuth of the lens's axis. discs: number of discs used. notes: sentences for the user.
+    heading_deg, tilt_deg, roll_deg: angles of `projection.rotation`, 0 for the stated pose;
+    lens_scale: true over stated angle from the lens's axis, minus 1. covariance [4, 4]: of these
+    four in this order. axis_deg: stated azimuth of the lens's axis. discs: number of sun discs that
+    determine it. notes: sentences for the user.
     """
 
     heading_deg: float = 0.0
@@ -67,7 +69,7 @@ class CameraPose:
 
     @classmethod
     def from_table(cls, table: JsonTable) -> CameraPose:
-        """Build from a JSON object of the fields. Raises TypeError or KeyError for another one."""
+        """Return the pose in a JSON object. Raises TypeError or KeyError for other fields."""
         covariance = tuple(tuple(map(float, row)) for row in table["covariance"])
         return cls(**{**table, "covariance": covariance, "notes": tuple(table["notes"])})
 
@@ -81,17 +83,17 @@ class CameraPose:
 
         discs: number of discs that determine it.
         """
-        names = ("heading_deg", "tilt_deg", "roll_deg", "lens_scale")
-        named = dict(zip(names, map(float, values), strict=True))
+        named = dict(zip(NAMES[:4], map(float, values), strict=True))
         rows = tuple(tuple(map(float, row)) for row in covariance)
         notes = (*self.notes, *notes)
         return replace(self, **named, covariance=rows, discs=discs, notes=notes)
 
     def with_heading(self, by_deg: float, u_deg: float) -> CameraPose:
-        """Return the pose with a measured correction to its heading; what is correlated follows.
+        """Return the pose after a measurement of its heading by the sky, with a note about it.
 
-        by_deg, u_deg: measured minus present heading, and its standard uncertainty. A correction
-        beyond what both uncertainties explain is named, and not used.
+        by_deg, u_deg: measured minus present heading, and its standard uncertainty. Tilt, roll and
+        lens scale change as far as they are correlated. A correction beyond 3.5 times the combined
+        uncertainty is not used, which the note states.
         """
         text = f"heading {by_deg:+.1f} +- {u_deg:.1f} degrees by the sky's brightness about the sun"
         if abs(by_deg) > _CONTRADICTION * np.hypot(self.heading_sd_deg, u_deg):
@@ -104,18 +106,20 @@ class CameraPose:
         return replace(after, notes=(*(n for n in self.notes if n != _NO_DISC), used))
 
     def turned(self, north_deg: float, u_deg: float) -> CameraPose:
-        """Return the pose relative to a stated heading that is corrected by `north_deg` +- `u_deg`.
+        """Return the pose for a stated heading that was corrected by `north_deg` +- `u_deg`.
 
-        A pose by discs does not change; without discs, the corrected heading is used.
+        Its own correction of the heading is reduced by as much, then averaged with 0 +- `u_deg` by
+        the uncertainties: a pose by discs hardly changes, another one takes the corrected heading.
         """
         rest_deg, axis_deg = self.heading_deg - north_deg, (self.axis_deg + north_deg) % 360.0
         restated = replace(self, heading_deg=rest_deg, axis_deg=axis_deg)
         return restated._updated(-rest_deg, u_deg)
 
     def at_clock(self, late_min: float, latitude_deg: float) -> CameraPose:
-        """Return the pose that keeps its discs in place if their times were `late_min` too late.
+        """Return the pose by which its discs agree if their times were `late_min` minutes too late.
 
-        A pose without discs does not change. latitude_deg: of the site.
+        Camera and sky then turn together about the celestial pole. A pose without discs does not
+        change. latitude_deg: of the site.
         """
         if not self.discs or not late_min:
             return self
@@ -129,37 +133,36 @@ class CameraPose:
         return self.moved(values, np.asarray(self.covariance), self.discs)
 
     def _updated(self, by_deg: float, u_deg: float) -> CameraPose:
-        """Return the pose after a measured correction to its heading (Kalman)."""
+        """Return the pose after a measured correction to its heading, as a Kalman filter does."""
         covariance = np.asarray(self.covariance, float)
         gain = covariance[:, 0] / (covariance[0, 0] + u_deg**2)  # [4]
         after = np.asarray(covariance - np.outer(gain, covariance[0]), float)
         return self.moved(self.values + gain * by_deg, after, self.discs)
 
     def in_pictures(self, suns: Floats, values: Floats | None = None) -> Floats:
-        """Return where the pictures show true directions, in the stated pose, [n, 3].
+        """Return the directions at which pictures, read by the stated pose, show true ones, [n, 3].
 
-        suns: unit vectors [n, 3] (x east, y north, z up). values: another pose's four values, such
-        as a draw; None for this pose's.
+        suns: the true directions, unit vectors [n, 3] (x east, y north, z up). values [4]: of
+        another pose, such as a draw; None for this pose's.
         """
         heading, tilt, roll, scale = self.values if values is None else values
         turned = suns @ rotation(heading, tilt, roll, self.axis_deg)  # inverse: the transpose
         return scaled(turned, 1.0 / (1.0 + scale) - 1.0, self.axis_deg)
 
     def true_directions(self, shown: Floats) -> Floats:
-        """Return the true directions of what the pictures show, [n, 3].
+        """Return the true directions of what the pictures show, [n, 3]: inverse of `in_pictures`.
 
-        It is the inverse of `in_pictures`. shown: unit vectors by the stated pose [n, 3] (x east, y
-        north, z up), as the results.
+        shown: directions by the stated pose. All are unit vectors, x east, y north, z up.
         """
         turn = rotation(self.heading_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
         return scaled(shown, self.lens_scale, self.axis_deg) @ turn.T
 
 
 def pose_of_discs(discs: MeasuredDiscs, site: Site, axis_deg: float) -> CameraPose:
-    """Return the pose that the discs of a session's captures give, together with the stated one.
+    """Return the pose that agrees best with the measured discs and the stated pose.
 
-    axis_deg: stated azimuth of the lens's axis. The result is the stated pose without a disc, and
-    with one or two that contradict it.
+    axis_deg: stated azimuth of the lens's axis. The result is the stated pose if there is no disc,
+    or if there are only one or two and these contradict it.
     """
     stated = CameraPose(axis_deg=axis_deg)
     if not len(discs):
@@ -194,6 +197,7 @@ _ANGLES = ("heading", "tilt", "roll")
 
 
 def _angles(fit: PoseFit) -> str:
+    """Return heading, tilt and roll of a fit with their uncertainties, as text."""
     parts = (f"{n} {fit[f'{n}_deg']:+.2f} +- {fit.u[f'{n}_deg']:.2f}" for n in _ANGLES)
     return f"{', '.join(parts)} degrees"
 
@@ -207,7 +211,7 @@ def open_combination(covariance: Floats) -> str:
     sd, part = float(np.sqrt(max(variances[-1], 0.0))), parts[:, -1]
     if sd < _OPEN_DEG:
         return ""
-    part = part * np.sign(part[np.argmax(np.abs(part))])
+    part = part * np.sign(part[np.argmax(np.abs(part))])  # the largest component is positive
     shown = np.flatnonzero(np.abs(part) > 0.3 * np.abs(part).max())
     together = " with ".join(f"{sd * part[k]:+.2f} {_ANGLES[k]}" for k in shown)
     return (

@@ -23,11 +23,12 @@ _NEAR_SUN_DEG = 10.0
 BEAM_LX = 1000.0  # a weaker beam shows no disc and has no bright region around it; chosen
 # Spread of the logarithm of a real sky over Perez's (Perez et al. 1993: 10 to 40 % by type of sky).
 _MAX_SKY_SPREAD = 0.45
-# Relative spread of the reference; and its share of the brightest ratio, without tinted panes at
-# first. Chosen.
+# Directions of the reference have less than this spread, over their spread against other light; and
+# at least these shares of the brightest ratio, in six steps of which the first omits tinted panes.
+# Chosen.
 _REFERENCE_FOLLOWS, _REFERENCE_SHARES = 0.8, (0.5, *5 * (0.15,))
 MIN_CAPTURES = 6  # fewer do not separate the sky from other light; chosen
-SOME = 500  # directions of the open sky are enough; only for speed
+SOME = 500  # directions of the open sky that are used at most; only for speed
 # Clouds are alike within this angle; farther away the sky's mean deviation counts, with this weight
 # relative to one direction nearby. Chosen.
 _CLOUD_DEG, _FAR_WEIGHT = 5.0, 0.3
@@ -36,13 +37,13 @@ _CHUNK_VALUES = 4_000_000  # of directions at a time, in one array: 30 MB; chose
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """How p directions follow the sky.
+    """How the luminance of p directions follows the sky's over the captures; arrays [p].
 
-    ratio [p]: median over the captures of luminance over the sky's there; spread [p]: standard
-    deviation of ln(luminance / sky) over the smaller of those of ln(luminance / E), E the diffuse
-    or the total illuminance, infinite in pixels that under six captures show; count [p]: captures;
-    forward [p]: ln of the luminance's increase with the sun in front of the camera, relative to the
-    diffuse light.
+    ratio: median over the captures of luminance over the sky's in that direction; spread: standard
+    deviation of ln(luminance / sky) over that of ln(luminance / E), where E is the diffuse or the
+    total illuminance, whichever the direction follows better (infinite in pixels that under six
+    captures show); count: captures that show it; forward: ln of the factor by which luminance over
+    diffuse light rises with the sun in front of the camera.
     """
 
     ratio: Floats
@@ -53,10 +54,11 @@ class Followed:
 
 @dataclass(frozen=True, slots=True)
 class SkyReference:
-    """The sky in m directions that show it: logarithm of its luminance over Perez's, [n, m].
+    """How the real skies of n captures differ from Perez's, in m directions that show the sky.
 
-    rays [m, 3]. It is NaN where not usable; each direction's median is 0. brightest: ratio to the
-    sky's luminance of the brightest directions that follow it, NaN if none does.
+    rays: the directions [m, 3]. log_ratio: ln of the luminance over Perez's [n, m], less each
+    direction's median; NaN where not usable. brightest: transmitted share of the sky's luminance in
+    the brightest directions that follow it, NaN if none does.
     """
 
     rays: Floats
@@ -64,10 +66,10 @@ class SkyReference:
     brightest: float
 
     def sky(self, light: Light, rays: Floats) -> Floats32:
-        """Return Perez's luminance for n hours in directions [p, 3], corrected, [n, p] cd/m2.
+        """Return the sky's luminance at n captures in directions [p, 3], [n, p] cd/m2.
 
-        light: of the hours. The correction is the mean of `log_ratio` over the sky's directions,
-        weighted by their nearness; without such directions there is none.
+        light: of the captures. It is Perez's, corrected by the mean of `log_ratio` over the m
+        directions, weighted by their nearness. Without such directions it is not corrected.
         """
         step = max(1, _CHUNK_VALUES // max(len(self.rays), 1))
         if len(rays) > step:
@@ -84,18 +86,18 @@ class SkyReference:
 
 
 def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReference:
-    """Return those of p directions that show the sky, and the luminance that they show.
+    """Return the directions among p that show the sky, and how it differs from Perez's.
 
-    luminance [n, p], rays [p, 3]: as for `follow`. Those that follow Perez's sky better than other
-    light and are bright come first; what follows the sky that they show is added.
+    luminance [n, p], rays [p, 3]: as for `follow`. It begins with bright directions that follow
+    Perez's sky better than other light, and is refined with those that follow the corrected sky.
     """
     step = max(1, len(rays) // (10 * SOME))
     luminance, rays = luminance[:, ::step], rays[::step]
     measured = usable_log(luminance, light, rays)
     reference = SkyReference(np.empty((0, 3)), np.empty((len(light), 0)), float("nan"))
     level, spread = _level_spread(measured - np.log(reference.sky(light, rays)))
-    rest = _rest_spread(measured, light)
-    plausible = (spread < _MAX_SKY_SPREAD) & (spread < rest)
+    other_spread = _other_spread(measured, light)
+    plausible = (spread < _MAX_SKY_SPREAD) & (spread < other_spread)
     if not plausible.any():
         return reference
     brightest = float(np.quantile(level[plausible], 0.98))
@@ -103,18 +105,18 @@ def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReferen
     for share in _REFERENCE_SHARES:
         index = np.flatnonzero(plausible & follows & (level > brightest + np.log(share)))
         index = index[:: max(1, len(index) // SOME)]
-        off = measured[:, index] - np.log(light.sky_at(rays[index])) - level[index]
-        reference = SkyReference(rays[index], off, float(np.exp(brightest)))
-        spread = _level_spread(measured - np.log(reference.sky(light, rays)))[1]
-        follows = spread < _REFERENCE_FOLLOWS * rest
+        log_ratio = measured[:, index] - np.log(light.sky_at(rays[index])) - level[index]
+        reference = SkyReference(rays[index], log_ratio, float(np.exp(brightest)))
+        _, spread = _level_spread(measured - np.log(reference.sky(light, rays)))
+        follows = spread < _REFERENCE_FOLLOWS * other_spread
     return reference
 
 
 def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyReference) -> Followed:
-    """Return how the light of p directions follows the sky over the n captures of `light`.
+    """Return how the luminance of p directions follows the sky over n captures.
 
-    luminance: cd/m2 [n, p], NaN if unusable; rays: world axes, x east, y north, z up [p, 3];
-    reference: result of `sky_reference`.
+    luminance: cd/m2 [n, p], NaN if unusable; light: outside at the captures; rays: unit vectors, x
+    east, y north, z up [p, 3]; reference: result of `sky_reference`.
     """
     step = max(1, _CHUNK_VALUES // max(len(light), 1))
     out = np.empty((4, len(rays)))
@@ -122,9 +124,9 @@ def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyRefere
         part = slice(k, k + step)
         measured = usable_log(luminance[:, part], light, rays[part])
         level, spread = _level_spread(measured - np.log(reference.sky(light, rays[part])))
-        rest = np.maximum(_rest_spread(measured, light), 1e-3)
+        other_spread = np.maximum(_other_spread(measured, light), 1e-3)
         count = (~np.isnan(measured)).sum(axis=0)
-        spread = np.where(count < min(MIN_CAPTURES, len(light)), np.inf, spread / rest)
+        spread = np.where(count < min(MIN_CAPTURES, len(light)), np.inf, spread / other_spread)
         out[:, part] = np.exp(level), spread, count, _forward(measured, light, rays[part])
     return Followed(*out)
 
@@ -132,8 +134,9 @@ def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyRefere
 def sky_share(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floats, Floats]:
     """Return the share of the sky in p mixed pixels and its standard uncertainty, [p] each.
 
-    luminance, sky, front [n, p]: of the pixel, of the sky behind the pane, of the foreground. NaN
-    is ignored.
+    luminance, sky, front: of the pixel, of the sky behind the pane, of the foreground, cd/m2 [n,
+    p]; NaN is ignored. It is the least-squares solution, with equal relative errors, of
+    luminance - front = share (sky - front) over the n captures.
     """
     scale = np.maximum(sky, front)
     x = np.nan_to_num((sky - front) / scale)
@@ -144,21 +147,22 @@ def sky_share(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floa
     share = (x * y).sum(axis=0) / size
     residual = np.where(usable, y - share * x, 0.0)
     variance = (residual**2).sum(axis=0) / np.maximum(usable.sum(axis=0) - 1, 1) / size
-    # what is in front may be as much brighter or darker than the nearest opaque pixel
+    # the foreground may be half brighter or darker than the nearest opaque pixel
     other = 0.5 * np.abs((x * np.where(usable, front / scale, 0.0)).sum(axis=0)) / size
     share = np.clip(share, 0.0, 1.0)
     return share, np.sqrt(variance + (other * (1.0 - share)) ** 2)
 
 
 def usable_log(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
-    """Return ln of luminance in cd/m2 [n, p], as `away_from_sun`."""
+    """Return ln of luminance, at least 0.01 cd/m2, [n, p]; NaN near the sun (`away_from_sun`)."""
     return np.log(np.maximum(away_from_sun(luminance, light, rays), np.float32(0.01)))
 
 
 def away_from_sun(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
-    """Return luminance [n, p], NaN near the sun: its disc, and brightness that no model has.
+    """Return luminance [n, p] with NaN within 10 degrees of a shining sun.
 
-    light: of the n captures; rays: directions of the pixels, x east, y north, z up [p, 3].
+    There are the disc, and brightness that no model has. light: outside at the n captures; rays:
+    directions of the pixels, x east, y north, z up [p, 3].
     """
     near = light.apparent_sun_direction @ rays.T > np.cos(np.radians(_NEAR_SUN_DEG))
     near &= (light.direct_lx > BEAM_LX)[:, None]
@@ -168,57 +172,67 @@ def away_from_sun(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
 def dark_shares(luminance: Floats32, light: Light, rays: Floats, shade: float) -> Floats:
     """Return the share of the sky in view that is darker than usual in each capture, [n].
 
-    luminance, rays: as for `follow`; shade: luminance over the usual, relative to the sky and also
-    to the diffuse light, below which a direction is dark: Perez's sky is too bright near the sun.
-    The usual is that of the most alike 40 % of the captures: a blind that is down in as many
-    changes neither it nor what follows the sky.
+    luminance, rays: as for `follow`. A direction is dark if its luminance over the usual one is
+    below `shade`, relative to Perez's sky and also to the diffuse light: Perez's sky is too bright
+    near the sun. The usual is that of the most alike 40 % of the captures, so that a blind that is
+    down in up to 60 % of them changes neither it nor the choice of directions.
     """
     measured = usable_log(luminance, light, rays)
-    over = [measured - np.log(lx)[:, None] for lx in _other_lx(light)]
-    over.append(measured - np.log(np.maximum(light.sky_at(rays), 1e-3)))
-    usual, spread = zip(*map(_alike, over), strict=True)
-    sky = spread[2] < np.minimum(_REFERENCE_FOLLOWS * np.minimum(*spread[:2]), _MAX_SKY_SPREAD)
-    off = np.maximum(over[0] - usual[0], over[2] - usual[2])[:, sky]
-    return (off < np.log(shade)).sum(axis=1) / max(off.shape[1], 1)
+    by_diffuse, by_total = (measured - np.log(lx)[:, None] for lx in _other_lx(light))
+    by_sky = measured - np.log(np.maximum(light.sky_at(rays), 1e-3))
+    usual, spread = _most_alike(by_diffuse)
+    usual_sky, sky_spread = _most_alike(by_sky)
+    other_spread = np.minimum(spread, _most_alike(by_total)[1])
+    sky = sky_spread < np.minimum(_REFERENCE_FOLLOWS * other_spread, _MAX_SKY_SPREAD)  # [p]
+    log_shade = np.maximum(by_diffuse - usual, by_sky - usual_sky)[:, sky]
+    return (log_shade < np.log(shade)).sum(axis=1) / max(log_shade.shape[1], 1)
 
 
-def _alike(values: Floats | Floats32) -> tuple[Floats, Floats]:
-    """Return middle and spread of the most alike 40 % of each column, as standard deviation."""
+def _most_alike(values: Floats | Floats32) -> tuple[Floats, Floats]:
+    """Return median and standard deviation of the closest 40 % of the values [n, p], [p] each."""
     ordered, many = np.sort(values, axis=0), round(0.4 * len(values))
     width = np.nan_to_num(ordered[many:] - ordered[: len(ordered) - many], nan=np.inf)
     first = np.argmin(width, axis=0)[None]
     middle = np.take_along_axis(ordered, first + many // 2, axis=0)[0]
+    # the middle 40 % of a normal distribution are 1.05 standard deviations wide
     return middle, np.take_along_axis(width, first, axis=0)[0] / 1.05
 
 
-def _rest_spread(measured: Floats32, light: Light) -> Floats:
-    """Return the spread against diffuse or total illuminance, the smaller, [p]."""
+def _other_spread(measured: Floats32, light: Light) -> Floats:
+    """Return the spread of ln(luminance / E), [p]; E: the better of diffuse and total illuminance.
+
+    measured: ln of luminance [n, p]; light: outside at the n captures.
+    """
     spreads = [_level_spread(measured - np.log(lx)[:, None])[1] for lx in _other_lx(light)]
     return np.minimum(*spreads)
 
 
 def _other_lx(light: Light) -> tuple[Floats, Floats]:
-    """Return the diffuse and the total illuminance, [n] each."""
+    """Return the diffuse and the total illuminance on the horizontal, [n] each."""
     upwards = np.maximum(light.sun_direction[:, 2], 0.0)
     return light.diffuse_lx, light.diffuse_lx + light.direct_lx * upwards
 
 
 def _forward(measured: Floats32, light: Light, rays: Floats) -> Floats:
-    """Return ln of how much brighter directions [p, 3] are with the sun in front of them, [p].
+    """Return ln of the factor by which p directions are brighter with the sun behind them, [p].
 
-    The luminance is relative to the diffuse light. The sun is in front if it shines strongly from
-    about the azimuth of the direction. measured: ln of luminance [n, p].
+    The luminance is relative to the diffuse light. The sun is in front of the camera if it shines
+    strongly from about the azimuth of the direction. measured: ln of luminance [n, p]; rays [p, 3].
     """
-    over = measured - np.log(light.diffuse_lx)[:, None]
-    level = rays[:, :2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)[:, None]
-    in_front = light.sun_direction[:, :2] @ level.T > 0.3
+    by_diffuse = measured - np.log(light.diffuse_lx)[:, None]
+    azimuths = rays[:, :2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)[:, None]  # [p, 2]
+    in_front = light.sun_direction[:, :2] @ azimuths.T > 0.3
     in_front &= (light.direct_lx > 10.0 * BEAM_LX)[:, None]
-    with_sun = _level_spread(np.where(in_front, over, np.nan))[0]
-    return with_sun - _level_spread(np.where(in_front, np.nan, over))[0]
+    with_sun, _ = _level_spread(np.where(in_front, by_diffuse, np.nan))
+    without_sun, _ = _level_spread(np.where(in_front, np.nan, by_diffuse))
+    return with_sun - without_sun
 
 
 def _level_spread(values: Floats | Floats32) -> tuple[Floats, Floats]:
-    """Return median, and half the range from the 16th to the 84th percentile, of each column."""
+    """Return median and robust standard deviation of the values [n, p] without NaN, [p] each.
+
+    The latter is half the range from the 16th to the 84th percentile.
+    """
     ordered = np.sort(values, axis=0)
     last = np.maximum((~np.isnan(values)).sum(axis=0) - 1, 0)
 

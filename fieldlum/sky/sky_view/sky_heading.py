@@ -25,18 +25,18 @@ _NORMAL_MEDIAN = 0.455  # of chi squared with one degree of freedom
 def heading_by_sky(
     luminance: Floats32, light: Light, rays: Floats, axis_deg: float
 ) -> tuple[float, float] | None:
-    """Return the heading's correction and its standard uncertainty in degrees; None if unknown.
+    """Return the correction to add to the heading and its standard uncertainty, in degrees.
 
-    light: of the hours; luminance: of p directions of open sky in n hours [n, p] cd/m2, NaN if
-    unusable; rays [p, 3]: their true directions by the heading so far; axis_deg: azimuth of the
-    lens's axis. At least five sunny hours with ten directions are needed.
+    luminance: of p directions of open sky in n hours [n, p] cd/m2, NaN if unusable; light: of the
+    hours; rays [p, 3]: the directions by the heading to be corrected; axis_deg: azimuth of the
+    lens's axis. None with fewer than five sunny hours that have ten usable directions each.
     """
     sunny = np.flatnonzero(light.direct_lx > 5.0 * BEAM_LX)
     if len(sunny) < _MIN_HOURS or len(rays) < _MIN_DIRECTIONS:
         return None
     sunlit, days = light[sunny], np.array([t.toordinal() for t in light.t_utc])[sunny]
     heading, u = 0.0, np.inf
-    for _ in range(10):
+    for _ in range(10):  # Newton: the turn that explains the difference, then again from there
         turned = rays @ rotation(heading, 0.0, 0.0, axis_deg).T
         ahead = rays @ rotation(heading + _STEP_DEG, 0.0, 0.0, axis_deg).T
         level = np.nanmedian(_log_ratio(luminance, light, turned), axis=0)
@@ -54,15 +54,17 @@ def heading_by_sky(
 
 
 def _log_ratio(luminance: Floats32, light: Light, rays: Floats) -> Floats:
+    """Return ln of luminance [n, p] over that of Perez's sky in directions [p, 3], [n, p]."""
     return usable_log(luminance, light, rays) - np.log(np.maximum(light.sky_at(rays), 1e-3))
 
 
 def _turns(off: Floats, slope: Floats, light: Light, rays: Floats) -> tuple[Floats, Floats]:
-    """Return the turn [n] deg that explains each hour's `off`, and its variance; NaN if none.
+    """Return the turn [deg] that explains each hour's `off`, and its variance, [n] each.
 
-    off [n, p]: log of the measured over Perez's luminance in directions `rays` [p, 3]; slope [n,
-    p]: by how much one degree of turn raises `off`; light: of the n hours. A constant, a factor on
-    the log of the sky and a gradient over altitude are no turn: they are projected out.
+    off [n, p]: ln of the measured over Perez's luminance in directions `rays` [p, 3]; slope [n, p]:
+    by how much one degree of turn raises `off`; light: of the n hours. A constant, a factor on the
+    log of the sky and a gradient over altitude are no turn: they are projected out. NaN for hours
+    with fewer than ten usable directions.
     """
     altitude = np.arcsin(np.clip(rays[:, 2], -1.0, 1.0))
     usable = np.isfinite(off) & np.isfinite(slope)
@@ -84,9 +86,10 @@ def _turns(off: Floats, slope: Floats, light: Light, rays: Floats) -> tuple[Floa
 
 
 def _mean(turns: Floats, variances: Floats, days: np.ndarray) -> tuple[float, float]:
-    """Return the robust mean of hours, and its uncertainty: by their scatter, or between days.
+    """Return the robust mean of the hours' turns and its standard uncertainty, in degrees.
 
-    turns, variances: of each hour [n] deg, deg2; days: the day of each hour [n].
+    The uncertainty is the larger of that by the scatter of hours and that between days. turns,
+    variances: of each hour [n] deg, deg2; days: the day of each hour [n].
     """
     mean, weight = float(np.median(turns)), 1.0 / variances
     for _ in range(30):

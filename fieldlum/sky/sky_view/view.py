@@ -1,4 +1,4 @@
-"""Hold a sky view: where the camera sees the sky, and how much of the beam arrives from there.
+"""Store a sky view: where the camera sees the sky, and how much of the beam arrives from there.
 
 The file sky_view.exr has the channels openness, u, count, transmittance, low and high; its grid is
 in true north, as the pictures' stated heading gives it. Views of other states of the room, and of
@@ -33,15 +33,16 @@ FORMAT = 1  # of the file; docs/file-formats.md
 NAME = "sky_view.exr"
 _OF_OTHERS = ("state", "days", "captures")  # what is stored of other states and seasons
 CHANNELS = ("openness", "u", "count", "transmittance", "low", "high")
-# Days of the year around captures for which their leaves hold. Leaves of temperate trees come and
-# fall within two to four weeks. Chosen.
+# A view of a season is used up to this many days before and after its captures. Leaves of
+# temperate trees come and fall within two to four weeks. Chosen.
 REACH_DAYS = 30
 _FINE_DEG = 0.13  # pixels of sharp edges: half of the disc; chosen
 LENS_PIXEL_DEG = 1.0  # larger pixels are means of a lens's; chosen
 _OPEN_PIXEL = 0.95  # openness of a pixel that has no edge: known to 0.05; chosen
 # A lens blurs an edge over two pixels: less open is shut, and as much less than 1 is open. Chosen.
 _LENS_BLUR = 0.2
-# Shares of a pixel that is drawn open by which best, low and high are open; chosen for the bounds.
+# Smoothed share of open sky from which a place counts as open in the maps best, low and high.
+# Chosen for the bounds.
 _DOUBT = (0.5, 0.75, 0.25)
 # Length and width of the blur along an edge, in pixels: bars narrower than a pixel do not break up
 # (rooms of docs/validation.md). Chosen.
@@ -106,30 +107,31 @@ class SkyView:
         return replace(self, **arrays)
 
     def of_hours(self, light: Light) -> list[tuple[Indices, SkyView]]:
-        """Return the views that hold in the n hours of `light`, each with the hours' indices.
+        """Return the views that apply to the n hours of `light`, each with the hours' indices [k].
 
-        An hour without a mark has this view's state. Where no view has the state of an hour, its
-        disc is between none and that of this view.
+        They are those of the hour's state of the room (without a mark: this view's state) and of
+        the nearest season. An hour whose state no view has gets this view with a lower bound of 0.
         """
         marks = light.states or ("",) * len(light)
         states = np.array([cover_state(text) or self.state for text in marks])
-        day = np.array([t.timetuple().tm_yday for t in light.t_utc])
-        views = (self, *self.others)
-        away = [np.where(states == v.state, v.days_from(day), np.inf) for v in views]
-        nearest = np.argmin([*away, np.full(len(day), REACH_DAYS + 2)], axis=0)
-        every = enumerate((*views, replace(self, low=0.0 * self.low)))
-        return [(rows, view) for k, view in every if len(rows := np.flatnonzero(nearest == k))]
+        views, days = (self, *self.others), light.day_of_year
+        distances = [np.where(states == v.state, v.days_from(days), np.inf) for v in views]
+        # the last choice, for hours of another state: farther than any view of the hour's state
+        nearest = np.argmin([*distances, np.full(len(days), REACH_DAYS + 2)], axis=0)
+        choices = enumerate((*views, replace(self, low=0.0 * self.low)))
+        return [(rows, view) for k, view in choices if len(rows := np.flatnonzero(nearest == k))]
 
     def days_from(self, day: Indices) -> Indices:
-        """Return how far days of the year [n] are from the captures, at most REACH_DAYS + 1, [n].
+        """Return the distance [days] from days of the year [n] to the nearest of `days`, [n].
 
-        A view that holds all the year is that far.
+        It is at most REACH_DAYS + 1, which is also the result of a view for the complete year.
         """
+        # differences modulo a year of 366 days, -183 to 182
         apart = np.abs((day[:, None] - np.array(self.days, int) + 183) % 366 - 183)
         return apart.min(axis=1, initial=REACH_DAYS + 1)
 
     def write(self, path: Path) -> None:
-        """Write the view as an EXR of six float32 channels, and six for each of the others."""
+        """Write the file: an EXR with six float32 channels for this view and each of the others."""
         import OpenEXR
 
         about = {
@@ -158,9 +160,10 @@ class SkyView:
 
     @classmethod
     def read(cls, path: Path) -> SkyView:
-        """Read a view; only format, grid and the channels are needed.
+        """Read a view with its other states and seasons from a file that `write` wrote.
 
-        Raises InputError for a missing file or other content, such as another frame or unit.
+        Of the header only format and grid are required. Raises InputError for a missing file or
+        other content, such as azimuths from another north, or shares outside 0 to 1.
         """
         if not path.is_file():
             raise InputError(path, "no such file", _EXPECTED, _REMEDY)
@@ -196,17 +199,14 @@ class SkyView:
         leaves that are finer than a pixel have their mean.
         """
         grid, maps = self._sharp
-        place = grid.pixels(towards)
-        i, j = (np.floor(at).astype(int) for at in place)
-        inside = (i >= 0) & (i < grid.height) & (j >= 0) & (j < grid.width)
-        i, j = np.where(inside, i, 0), np.where(inside, j, 0)
-        return np.where(inside, maps[:, i, j], np.float32(np.nan))
+        inside, row, column = grid.indices(towards)
+        return np.where(inside, maps[:, row, column], np.float32(np.nan))
 
     @cached_property
     def _sharp(self) -> tuple[SkyGrid, Floats32]:
-        """A grid that resolves the disc, and the share of the beam on it, with sharp edges.
+        """A grid that resolves the sun's disc, and the share of the beam on it, with sharp edges.
 
-        The share is best, low and high [3, h, w].
+        The share has its best value, lower and upper bound, [3, h, w].
         """
         factor = max(1, int(np.ceil(self.grid.step_deg / _FINE_DEG)))
         maps = np.stack([self.through, self.low, self.high]).astype(np.float32)
@@ -242,7 +242,7 @@ def _check(grid: SkyGrid, arrays: dict[str, Floats32], frame: str) -> None:
 
 
 def _content(path: Path) -> tuple[dict[str, Any], list[dict[str, Floats32]]]:
-    """Return the header of a file and the channels of each of its views by name, [h, w] each."""
+    """Return a file's header, and for each of its views the channels by name, [h, w] each."""
     exr_headers(path)  # raises InputError for a file that is no .exr
     with opened_exr(path, separate_channels=True) as exr:
         about = json.loads(str(exr.header()["fieldlum:sky_view"]))
@@ -254,47 +254,57 @@ def _content(path: Path) -> tuple[dict[str, Any], list[dict[str, Floats32]]]:
 
 
 def _layer(k: int) -> str:
-    """Return what the names of a view's channels begin with; k: 0, or the others' number from 1."""
+    """Return the prefix of a view's channels in the file; k: 0 for the main view, others from 1."""
     return f"other{k}." if k else ""
 
 
 def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
     """Return best, low and high [3, h, w] enlarged by `factor`, with sharp edges.
 
-    maps [3, h, w], openness [h, w]: at the view's own resolution. The shortest edges between sky
-    and what is in front of it give each pixel its openness. Where mixed pixels fill a square, slats
-    or leaves keep their mean; in pixels larger than a lens's also where none next to them is open.
+    maps [3, h, w], openness [h, w]: at the view's own resolution. The edges between sky and what is
+    in front of it are the shortest that give each pixel its openness. Slats and leaves keep the
+    mean of their pixel (`_texture`).
     """
     shown, size = np.nan_to_num(openness), 3
-    lens = factor * _FINE_DEG <= LENS_PIXEL_DEG
-    if lens:
+    is_sharp = factor * _FINE_DEG <= LENS_PIXEL_DEG  # a lens's own pixels, not means of several
+    if is_sharp:
         shown, size = np.clip((shown - _LENS_BLUR) / (1.0 - 2.0 * _LENS_BLUR), 0.0, 1.0), 5
     mixed = (shown > 0.0) & (shown < _OPEN_PIXEL)
-    texture = np.asarray(binary_opening(mixed, np.ones((size, size))), bool)
-    if not lens:  # an edge of the sky has an open pixel beside it; gaps in a tree's crown have none
-        blocks = np.asarray(binary_opening(mixed, np.ones((2, 2))), bool)
-        no_edge = blocks & (maximum_filter(shown, 3) < _OPEN_PIXEL)
-        # a single pixel is a corner
-        strips = [binary_opening(no_edge, np.ones(shape)) for shape in ((1, 3), (3, 1))]
-        texture |= blocks & maximum_filter(np.any(strips, axis=0), 3)
+    texture = _texture(shown, mixed, size, is_sharp)
     edge = _enlarged((maximum_filter(shown, size) > 0.0) & ~texture, factor)
     own = _enlarged(maps, factor)
-    drawn = np.zeros(own.shape[1:], np.float32)
+    open_share = np.zeros(own.shape[1:], np.float32)  # smoothed, of each fine place
     reached = maximum_filter(shown, 11) > 0.0  # five pixels: four standard deviations of the blur
-    for part in find_objects(reached.astype(np.int8)):  # one box around all of them
-        fine = tuple(slice(s.start * factor, s.stop * factor) for s in part)
-        drawn[fine] = _shortest_edges(shown[part], factor)
+    for box in find_objects(reached.astype(np.int8)):  # one box around all that is reached
+        fine_box = tuple(slice(s.start * factor, s.stop * factor) for s in box)
+        open_share[fine_box] = _shortest_edges(shown[box], factor)
     out = own.copy()
     for fine, values, minimum in zip(out, maps, _DOUBT, strict=True):
         pane = maximum_filter(np.nan_to_num(values), size)  # value of the open neighbour
-        fine[edge] = np.where(drawn >= minimum, _enlarged(pane, factor), 0.0)[edge]
+        fine[edge] = np.where(open_share >= minimum, _enlarged(pane, factor), 0.0)[edge]
     # Slats of a lens's pixel look like a blurred edge, and a bar in a pixel between open ones can
     # be anywhere in it: the pixel's own bounds hold too.
     bars = mixed & between(shown >= _OPEN_PIXEL)
-    doubted = _enlarged(bars | lens, factor)
-    out[1] = np.where(doubted, np.minimum(out[1], own[1]), out[1])
-    out[2] = np.where(doubted, np.maximum(out[2], own[2]), out[2])
+    doubted = _enlarged(bars | is_sharp, factor)
+    out[1] = np.where(doubted, np.minimum(out[1], own[1]), out[1])  # low
+    out[2] = np.where(doubted, np.maximum(out[2], own[2]), out[2])  # high
     return np.where(np.isnan(own), own, out)
+
+
+def _texture(openness: Floats32, mixed: Mask, size: int, is_sharp: bool) -> Mask:
+    """Return a mask [h, w] of mixed pixels that show slats or leaves instead of a single edge.
+
+    They fill a square of `size` pixels. In pixels that are means of several of a lens (not
+    `is_sharp`), mixed pixels without an open neighbour count too: gaps in a tree's crown have none.
+    """
+    texture = np.asarray(binary_opening(mixed, np.ones((size, size))), bool)
+    if is_sharp:
+        return texture
+    blocks = np.asarray(binary_opening(mixed, np.ones((2, 2))), bool)
+    no_edge = blocks & (maximum_filter(openness, 3) < _OPEN_PIXEL)
+    # a single pixel is a corner
+    strips = [binary_opening(no_edge, np.ones(shape)) for shape in ((1, 3), (3, 1))]
+    return texture | (blocks & maximum_filter(np.any(strips, axis=0), 3))
 
 
 def between(marked: Mask) -> Mask:
@@ -304,20 +314,21 @@ def between(marked: Mask) -> Mask:
 
 
 def _shortest_edges(openness: Floats32, factor: int) -> Floats32:
-    """Return a fine map that is above one half in the open share of each pixel, with short edges.
+    """Return the smoothed share of open sky, [h factor, w factor]: above 0.5 where it is open.
 
-    Threshold dynamics (Merriman, Bence, Osher 1994) with the area of each pixel kept: blur; then in
-    each pixel the brightest parts, as many as its openness, are open. A blur along bars keeps those
-    unbroken that are narrower than a pixel.
+    openness [h, w]. The open parts have the shortest edges that give each pixel its openness:
+    threshold dynamics (Merriman, Bence, Osher 1994) with a fixed area in each pixel. The map is
+    blurred, then in each mixed pixel the brightest of its factor x factor parts are opened, as many
+    as its openness. A blur along bars keeps bars that are narrower than a pixel in one piece.
     """
 
-    def even(values: Floats32, pixel: float) -> Floats32:
+    def evenly(values: Floats32, pixel: float) -> Floats32:
         blurred = cv2.GaussianBlur(values, (0, 0), 0.5 * pixel, borderType=cv2.BORDER_REPLICATE)
         return np.asarray(blurred, np.float32)
 
     (height, width), n = openness.shape, factor**2
     mixed = np.nonzero((openness > 0.0) & (openness < _OPEN_PIXEL))
-    count = np.round(openness[mixed] * n)[:, None]
+    count = np.round(openness[mixed] * n)[:, None]  # open parts of each mixed pixel
     sharp = np.asarray(cv2.resize(openness, (width * factor, height * factor)), np.float32)
     pixels = np.repeat((openness >= _OPEN_PIXEL)[..., None], n, axis=-1).astype(np.float32)
     for _ in range(4):
@@ -327,8 +338,8 @@ def _shortest_edges(openness: Floats32, factor: int) -> Floats32:
         pixels[mixed] = rank < count
         sharp = pixels.reshape(height, width, factor, factor).swapaxes(1, 2)
         sharp = sharp.reshape(height * factor, width * factor)
-    smooth = _blurred(sharp, factor, even)
-    # where best is open or shut, low and high follow it
+    smooth = _blurred(sharp, factor, evenly)
+    # the blur must not change which side of 0.5 a place is on: low and high follow best
     return np.where(sharp > 0.5, np.maximum(smooth, 0.5), np.minimum(smooth, 0.499))
 
 
@@ -337,8 +348,8 @@ def _blurred(
 ) -> Floats32:
     """Return a map [h, w] blurred at a reduced size, for speed.
 
-    factor: pixels of the map across one of the sky view; blur: a function of the reduced map and of
-    `factor` in it.
+    factor: width of a pixel of the sky view in pixels of the map; blur: a function of the reduced
+    map and of that width in it.
     """
     step = max(1, factor // _BLUR_STEPS)
     size = (values.shape[1] // step, values.shape[0] // step)
@@ -347,11 +358,12 @@ def _blurred(
 
 
 def _along_edges(values: Floats32, pixel: float) -> Floats32:
-    """Return a map [h, w] blurred along its edges and bars; pixel: size of a blurred pixel in it.
+    """Return a map [h, w] blurred along its edges and bars.
 
-    Each place takes that of eight long Gaussians which differs most from a round one.
+    pixel: width of a pixel of the sky view in it. Of the blurs by eight long Gaussians, each place
+    has the one that differs most from the blur by a round Gaussian.
     """
-    long, short = _EDGE_BLUR
+    long, short = _EDGE_BLUR  # standard deviations in pixels of the sky view
     reach = int(np.ceil(3.0 * pixel))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1] / pixel
     best = even = cv2.GaussianBlur(values, (0, 0), long * pixel, borderType=cv2.BORDER_REPLICATE)
@@ -364,4 +376,5 @@ def _along_edges(values: Floats32, pixel: float) -> Floats32:
 
 
 def _enlarged(values: np.ndarray, factor: int) -> np.ndarray:
+    """Return maps [..., h, w] with each pixel repeated `factor` times in both directions."""
     return values.repeat(factor, axis=-2).repeat(factor, axis=-1)

@@ -34,8 +34,9 @@ CLEAR_GLASS = 0.9
 class DiscOfHours:
     """The sun's disc at the lens in n hours, on a plane normal to the sun.
 
-    best_lx [n]; low_lx, high_lx [n]: by the bounds of the sky view, in the stated pose. not_seen
-    [n]: True where no lens saw the sun's direction; the illuminances are then 0.
+    best_lx [n]: most likely illuminance; low_lx, high_lx [n]: by the bounds of the sky view, with
+    the view's most likely pose. not_seen [n]: True where the sun is up in a direction that no lens
+    saw; the illuminances are then 0.
     """
 
     best_lx: Floats
@@ -45,7 +46,7 @@ class DiscOfHours:
 
 
 def disc_of_hours(view: SkyView, light: Light) -> DiscOfHours:
-    """Return the disc of the n hours of `light` by the sky view; 0 lx where no lens saw."""
+    """Return the disc in the n hours of `light` by the sky view; 0 lx where no lens saw."""
     best, low, high = np.empty((3, len(light)))
     for rows, part in view.of_hours(light):
         suns = part.pose.in_pictures(light.apparent_sun_direction[rows])
@@ -64,25 +65,29 @@ def drawn_shares(
 ) -> Floats:
     """Return the disc's share of the beam in draws of the pose and of the view, [count, n].
 
-    A draw has one pose and one place within the bounds of the view for all hours. It is NaN in
-    directions that no lens saw.
+    A draw has one pose and one position between the bounds of the view (-1: low, 0: best, 1: high)
+    for all hours. It is NaN in directions that no lens saw, 0 without a beam.
     """
     poses = view.pose.drawn(rng, count)
     # Spread evenly; 4 % reach each bound, so that their 2.5th percentile is the bound itself: DGP
     # is .06 higher with 20 lx of a disc than with none.
-    places = np.clip((rng.permutation(count) + 0.5 - 0.5 * count) / (0.46 * count), -1.0, 1.0)
+    positions = np.clip((rng.permutation(count) + 0.5 - 0.5 * count) / (0.46 * count), -1.0, 1.0)
     drawn = np.zeros((count, len(light)))
-    for every, part in view.of_hours(light):
-        rows = every[light.direct_lx[every] > 0.0]
+    for hours, part in view.of_hours(light):
+        rows = hours[light.direct_lx[hours] > 0.0]
         suns = light.apparent_sun_direction[rows]
-        for k, (values, place) in enumerate(zip(poses, places, strict=True)):
-            best, low, high = _over_disc(part, part.pose.in_pictures(suns, values))
-            drawn[k, rows] = best + abs(place) * ((high if place > 0.0 else low) - best)
+        for k, (pose, position) in enumerate(zip(poses, positions, strict=True)):
+            best, low, high = _over_disc(part, part.pose.in_pictures(suns, pose))
+            drawn[k, rows] = best + abs(position) * ((high if position > 0.0 else low) - best)
     return drawn
 
 
 def _over_disc(view: SkyView, suns: Floats) -> Floats:
-    """Return the means of best, low and high over the disc, [3, n]; NaN if it is not seen."""
+    """Return the share of the beam over the disc: best, low and high, [3, n].
+
+    suns [n, 3]: unit vectors to the disc's centre, where the pictures show it. NaN if no lens saw
+    more than half of the disc.
+    """
     shares = view.beam_shares(disc_points(suns))  # [3, n, 37]
     mean = np.nan_to_num(shares).mean(axis=2)
     return np.where(np.isnan(shares).mean(axis=2) > 0.5, np.nan, mean)
@@ -96,9 +101,10 @@ def disc_points(suns: Floats) -> Floats:
     side = np.cross(suns, (0.0, 0.0, 1.0))
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
     other = np.cross(suns, side)
-    offsets = [np.zeros((1, 2))]
+    offsets = [np.zeros((1, 2))]  # from the centre along side and other, of each ring [k, 2]
     total, inner = sum(_RINGS), 1
     for number in _RINGS[1:]:
+        # the circle that halves the ring's area
         radius = SUN_RADIUS_RAD * np.sqrt((inner + 0.5 * number) / total)
         angle = (np.arange(number) + 0.5) * 2.0 * np.pi / number
         offsets.append(radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
@@ -111,18 +117,19 @@ def disc_points(suns: Floats) -> Floats:
 def disc_lx(view: SkyView | None, setup: SiteFile, light: Light) -> Floats:
     """Return the illuminance of the sun's disc at the lens, on a plane normal to the sun, [n] lx.
 
-    By the sky view; by the room of `setup` in directions that no lens saw, or without a view. It is
-    0 where neither is known. Raises InputError for an impossible room.
+    It is that by the sky view; in directions that no lens saw, or without a view, that by the room
+    of `setup`; 0 without either. Raises InputError for an impossible room.
     """
-    if view is None:
-        return room_shares(setup.room, light.apparent_sun_direction) * light.direct_lx
-    disc = disc_of_hours(view, light)
-    if setup.room is None or not disc.not_seen.any():
-        return disc.best_lx
-    unseen = light[disc.not_seen]
-    best = disc.best_lx.copy()
-    best[disc.not_seen] = room_shares(setup.room, unseen.apparent_sun_direction) * unseen.direct_lx
-    return best
+    best_lx, not_seen = np.zeros(len(light)), np.ones(len(light), bool)
+    if view is not None:
+        disc = disc_of_hours(view, light)
+        best_lx, not_seen = disc.best_lx, disc.not_seen
+    if not_seen.any():
+        unseen = light[not_seen]
+        best_lx[not_seen] = (
+            room_shares(setup.room, unseen.apparent_sun_direction) * unseen.direct_lx
+        )
+    return best_lx
 
 
 def drawn_discs_lx(
@@ -132,16 +139,16 @@ def drawn_discs_lx(
     rng: np.random.Generator,
     count: int = DRAWS,
 ) -> Floats:
-    """Return the disc's illuminance in `count` random draws of what is uncertain, [count, n] lx.
+    """Return the disc's illuminance at the lens in `count` random draws, [count, n] lx.
 
-    The sky view and its pose are drawn. Directions that no lens saw are drawn by the room of
-    `setup`, with the sun moved at random by 1.5 degrees; without a room, from 0 to clear glass. The
-    beam's luminous efficacy is drawn too.
+    Each draw varies the sky view, its pose and the beam's luminous efficacy within their
+    uncertainties. In directions that no lens saw, the room of `setup` decides, with the sun moved
+    at random by about 1.5 degrees; without a room, the share is drawn from 0 to clear glass.
     """
     shares = np.full((count, len(light)), np.nan)
     if view is not None:
         shares = drawn_shares(view, light, rng, count)
-    turns = rng.normal(0.0, EDGE_SD_DEG, (count, 2))
+    turns = rng.normal(0.0, EDGE_SD_DEG, (count, 2))  # of azimuth and altitude
     guesses = rng.permutation((np.arange(count) + 0.5) / count) * CLEAR_GLASS
     open_hours = np.flatnonzero(np.isnan(shares).any(axis=0) & (light.direct_lx > 0.0))
     if len(open_hours):
@@ -162,9 +169,9 @@ def efficacy_u(light: Light) -> Floats:
 
 
 def disc_source(view: SkyView | None, setup: SiteFile, file: str = "") -> str:
-    """Return a text on how the visibility of the sun's disc is known: by sky view, room or not.
+    """Return a text that names the source of the disc's visibility: sky view, room or none.
 
-    file: name of a sky view from elsewhere, or "".
+    file: name of a sky view from another session, or "".
     """
     if view is None:
         if setup.room is None:
@@ -177,6 +184,7 @@ def disc_source(view: SkyView | None, setup: SiteFile, file: str = "") -> str:
 
 
 def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Floats:
+    """Return unit vectors to the apparent sun, turned by these angles on the sky, [n, 3]."""
     altitude = np.minimum(light.apparent_altitude_deg + altitude_deg, 90.0)
     # near the zenith a given angle on the sky is a larger change of azimuth
     turn = azimuth_deg / np.maximum(np.cos(np.radians(altitude)), 0.2)
@@ -184,10 +192,10 @@ def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Floats:
 
 
 def room_shares(room: Room | None, suns: Floats) -> Floats:
-    """Return the share of the beam (0 to 1) that reaches the camera in a room, [m]; 0 without one.
+    """Return the share of the beam (0 to 1) that reaches the camera in a stated room, [m].
 
-    suns: unit vectors to the apparent sun, x east, y north, z up [m, 3]. Raises InputError for an
-    impossible room.
+    room: a box or a Radiance scene; None gives 0. suns: unit vectors to the apparent sun, x east, y
+    north, z up [m, 3]. Raises InputError for an impossible room.
     """
     if room is None:
         return np.zeros(len(suns))
