@@ -56,10 +56,10 @@ class Colours:
 class ColourFit(NamedTuple):
     """Fitted coefficients, their relative uncertainty, and relative residuals of the readings.
 
-    y_from_rgb : weights of R, G, B in the luminance. scale : luminance of the readings over
-    that by y_from_rgb, a factor on k that y_from_rgb does not contain. residual [n] : luminance
-    by camera, with `scale`, over the reading minus 1, also for omitted readings. u_rel :
-    relative rms of the held-out errors. choice : how the number of coefficients was chosen.
+    y_from_rgb : weights of R, G, B in the luminance. scale : luminance of the readings over that by
+    y_from_rgb, a factor on k that y_from_rgb does not contain. residual [n] : luminance by camera,
+    with `scale`, over the reading minus 1, also for omitted readings. u_rel : relative rms of the
+    held-out errors. choice : how the number of coefficients was chosen.
     """
 
     y_from_rgb: tuple[float, float, float]
@@ -78,8 +78,8 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
 
     x_px, y_px : place of the reading on the sensor. Optional columns: radius_px of the averaged
     disc (default 12), u_rel of the reading (default 0.02) and melanopic_cdm2, its melanopic
-    equivalent daylight luminance, in all rows or none. The profile's vignetting is corrected.
-    A column spectrum with files of a JETI spectrometer replaces both. Raises InputError for an
+    equivalent daylight luminance, in all rows or none. The profile's vignetting is corrected. A
+    column spectrum with files of a JETI spectrometer replaces both. Raises InputError for an
     invalid csv, an unreadable frame, or a place that is clipped or outside the picture.
     """
     extra = [name for name in ("melanopic_cdm2", "spectrum") if name in fit_steps.columns_of(path)]

@@ -39,8 +39,8 @@ Parameters = TypeVar("Parameters")
 class OrderSelection:
     """The index of the chosen candidate, from 0, and a line for the profile with the reason.
 
-    index: of the candidate; rms: its held-out rms; line: lists all candidates, and states why
-    this one was chosen.
+    index: of the candidate; rms: its held-out rms; line: lists all candidates, and states why this
+    one was chosen.
     """
 
     index: int

@@ -85,10 +85,9 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     """Fit centre, radius, pose and mapping by robust least squares in pixels.
 
     The fit starts from `lens`. Mappings with none to three free terms are compared on held-out
-    targets. Targets that no lens explains, at
-    most a quarter, are omitted and listed in `warnings`. Raises NotEnoughDataError for fewer than
-    eight targets; InputError for directions that are mirrored, outside the lens's full angle, or
-    fit no lens.
+    targets. Targets that no lens explains, at most a quarter, are omitted and listed in `warnings`.
+    Raises NotEnoughDataError for fewer than eight targets; InputError for directions that are
+    mirrored, outside the lens's full angle, or fit no lens.
     """
     n = len(targets.x_px)
     # the parameters of a lens with one free term, and its pose

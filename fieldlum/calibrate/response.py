@@ -235,10 +235,10 @@ def _flat_places(
 ) -> tuple[NDArray[np.uint8], list[Exposure]]:
     """Return the mean codes of a bracket's 3 x 3 blocks without an edge, inside the lens circles.
 
-    paths: of the frames; rng: of the choice among places of one brightness. The codes are
-    [places, frames, 3], and the exposures are by EXIF. At most 2 million blocks on a grid
-    are compared, one frame at a time. Half of the places are spread over the brightnesses, and each
-    pair of neighbouring exposures has up to `_PLACES_OF_STEP` that both show.
+    paths: of the frames; rng: of the choice among places of one brightness. The codes are [places,
+    frames, 3], and the exposures are by EXIF. At most 2 million blocks on a grid are compared, one
+    frame at a time. Half of the places are spread over the brightnesses, and each pair of
+    neighbouring exposures has up to `_PLACES_OF_STEP` that both show.
     """
     height, width = profile.camera.height_px, profile.camera.width_px
     step = max(3, int(np.ceil(np.sqrt(height * width / 2_000_000))))

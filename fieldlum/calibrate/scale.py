@@ -42,9 +42,9 @@ class LuminanceReading(NamedTuple):
 class ScaleFit(NamedTuple):
     """A fitted factor on k, its relative uncertainty, and how well the readings agree with it.
 
-    u_rel: of the new k, the meter's calibration included. far: labels of outliers, which count
-    less in the fit. factor: multiplies the profile's k. residual: meter over corrected picture
-    minus one [n]. line: a sentence with the held-out error.
+    u_rel: of the new k, the meter's calibration included. far: labels of outliers, which count less
+    in the fit. factor: multiplies the profile's k. residual: meter over corrected picture minus one
+    [n]. line: a sentence with the held-out error.
     """
 
     factor: float

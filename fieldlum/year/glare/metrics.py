@@ -31,10 +31,9 @@ from fieldlum.year.glare.sources import (
     position_index,
 )
 
-# What a disc of 1 lx adds, by `sun_per_lx`, and its illuminance [..., n] in lx.
+# A sun disc or its mirror image: what 1 lx of it adds (the result of `sun_per_lx`), and its
+# illuminance [..., n] in lx on a plane normal to it.
 DiscLight = tuple[tuple[Floats, Floats], Floats]
-
-YOUNG_AGE, OLD_AGE = 25.0, 70.0  # years, of the two veiling luminances; at 70 CIE 146 doubles it
 
 _BLOCK = 1 << 16  # pixels whose light is summed in single precision: errors below 1e-5; chosen
 # Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16. evalglare computes with the
@@ -71,21 +70,22 @@ def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
     contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
     NaN; background_cdm2 : the background luminance Lb. Source: CIE 117:1995.
     """
-    return _logarithm(8.0, 0.25 * np.asarray(contrast, float) / np.maximum(background_cdm2, 1e-6))
+    ratio = 0.25 * np.asarray(contrast, float) / np.maximum(background_cdm2, 1e-6)
+    return _scaled_log10(8.0, ratio)
 
 
-def _logarithm(factor: float, ratio: Floats) -> Floats:
-    """Return factor times log10 of the ratio, NaN for a ratio of 0: without a source."""
+def _scaled_log10(factor: float, ratio: Floats) -> Floats:
+    """Return factor * log10(ratio), [...]; NaN for a ratio of 0, which means no glare source."""
     return np.where(ratio > 0, factor * np.log10(np.maximum(ratio, 1e-30)), np.nan)
 
 
 def dgi(source_sum: ArrayLike) -> Floats:
     """Return the daylight glare index DGI, 10 log10 of `source_sum`, [...]; NaN without a source.
 
-    source_sum : Hopkinson's terms summed over sources, the second row of `source_terms`
-    (Hopkinson 1972, with the position index P for windows).
+    source_sum : Hopkinson's terms summed over sources, the second row of `source_terms` (Hopkinson
+    1972, with the position index P for windows).
     """
-    return _logarithm(10.0, np.asarray(source_sum, float))
+    return _scaled_log10(10.0, np.asarray(source_sum, float))
 
 
 def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
@@ -106,7 +106,7 @@ def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> Float
     """
     total = np.asarray(contrast, float)
     ratio = 2.0 * (1.0 + np.asarray(source_ev_lx, float) / 500.0) / np.maximum(ev_lx, 1e-6) * total
-    return _logarithm(8.0, ratio)
+    return _scaled_log10(8.0, ratio)
 
 
 def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> Floats:
@@ -116,7 +116,6 @@ def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> Floats:
     their angle from the line of sight [deg], of at least 1 degree. age_years : of the observer.
     This is the age-adjusted Stiles-Holladay formula (CIE 146:2002).
     """
-    # CIE 146:2002, age-adjusted Stiles-Holladay: 1 + (age / 70)^4
     return 10.0 * (1.0 + (age_years / 70.0) ** 4) * np.asarray(veiling_sum, float)
 
 
@@ -125,11 +124,11 @@ def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> Floats:
 
 
 class ViewSums(NamedTuple):
-    """What a metric is computed from: sums over a view, sun and its images included, [n, d] each.
+    """The light of n maps in d view directions from which every metric is computed, [n, d] each.
 
-    ev_lx : vertical illuminance; source_ev_lx : its part from glare sources; background_cdm2 : the
-    rest of the map over pi. contrast : sum of L^2 omega / P^2 over sources; dgi_sum, veiling_sum :
-    second and third row of `source_terms`.
+    All sums include the sun and its images in mirrors. ev_lx : vertical illuminance; source_ev_lx :
+    its part from glare sources; background_cdm2 : the rest of the map over pi. contrast : sum of
+    L^2 omega / P^2 over sources; dgi_sum, veiling_sum : second and third row of `source_terms`.
     """
 
     ev_lx: Floats
@@ -141,7 +140,10 @@ class ViewSums(NamedTuple):
 
 
 class Metric(NamedTuple):
-    """A glare metric. formula : its value [n, d]; in_year : whether hourly.csv has it."""
+    """A glare metric.
+
+    formula : computes its value [n, d]; in_year : whether hourly.csv has a column of it.
+    """
 
     formula: Callable[[ViewSums], Floats]
     in_year: bool = False
@@ -155,8 +157,9 @@ METRICS: dict[str, Metric] = {
     "dgi": Metric(lambda view: dgi(view.dgi_sum), True),
     "ugp": Metric(lambda view: ugp(view.contrast, view.background_cdm2)),
     "cgi": Metric(lambda view: cgi(view.contrast, view.ev_lx, view.source_ev_lx)),
-    "veiling_cdm2": Metric(lambda view: veiling_cdm2(view.veiling_sum, YOUNG_AGE)),
-    "veiling_age70_cdm2": Metric(lambda view: veiling_cdm2(view.veiling_sum, OLD_AGE)),
+    # for observers of 25 years and of 70 years, for whom CIE 146 doubles the veiling luminance
+    "veiling_cdm2": Metric(lambda view: veiling_cdm2(view.veiling_sum, age_years=25.0)),
+    "veiling_age70_cdm2": Metric(lambda view: veiling_cdm2(view.veiling_sum, age_years=70.0)),
 }
 """All metrics by their name in `glare --json`, `glare --csv` and Python (CONTRIBUTING.md)."""
 
@@ -173,10 +176,9 @@ def glare_directions(
 
     luminance_cdm2 : [n, H, W] without the sun's disc; views : weights of their pixels.
     sun_direction : [n, 3] unit vectors (x east, y north, z up), or [m, n, 3] of the sun and images
-    of it in mirrors; None without a sun.
-    disc_lx : [n] or [m, n] illuminance from each, at the lens, on a plane normal to it; 0 where it
-    is hidden; None without a sun.
-    sources : `glare_sources` of each map, if they are known.
+    of it in mirrors; None without a sun. disc_lx : [n] or [m, n] illuminance from each, at the
+    lens, on a plane normal to it; 0 where it is hidden; None without a sun. sources :
+    `glare_sources` of each map, if they are known.
 
     Keys: those of `METRICS`, and the parts of DGP: contrast is the sum of L^2 omega / P^2 over
     sources; sun_contrast and sun_ev_lx are the parts of sun and images in contrast and Ev. ugr,
@@ -185,8 +187,24 @@ def glare_directions(
     maps = np.asarray(luminance_cdm2, np.float32)
     map_ev = map_ev_lx(maps, views)
     by_map = sources or [glare_sources(image, views) for image in maps]
-    hour = np.repeat(np.arange(len(maps)), [len(one_map.pixels) for one_map in by_map])
-    # all maps' sources one after another, [s, d] each
+    source_ev, background, source_sums = _sums_of_sources(by_map, map_ev)
+    sun = np.zeros((len(maps), 3)) if sun_direction is None else sun_direction
+    disc = np.zeros((len(maps), 1)) if disc_lx is None else np.asarray(disc_lx, float)[..., None]
+    sun_ev, sun_sums = _sums_of_suns(sun, disc, views, background)
+    sums = source_sums + sun_sums  # [3, n, d]
+    view = ViewSums(map_ev + sun_ev, source_ev + sun_ev, background, *sums)
+    parts = {"contrast": view.contrast, "sun_contrast": sun_sums[0], "sun_ev_lx": sun_ev}
+    return parts | {name: metric.formula(view) for name, metric in METRICS.items()}
+
+
+def _sums_of_sources(by_map: Sequence[Sources], map_ev: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return Ev of the glare sources [n, d] lx, the background luminance [n, d], and sums of terms.
+
+    by_map : the sources of each of n maps; map_ev : Ev of the complete maps [n, d] lx. The sums [3,
+    n, d] are those of the rows of `source_terms` over the sources of a map.
+    """
+    # number of the map of each source, and all maps' sources one after another, [s, d] each
+    hour = np.repeat(np.arange(len(by_map)), [len(one_map.pixels) for one_map in by_map])
     columns = zip(*(one_map[:5] for one_map in by_map), strict=True)
     mean, omega, right, up, ev = map(np.concatenate, columns)
     source_ev = np.zeros_like(map_ev)
@@ -194,34 +212,40 @@ def glare_directions(
     # CIE 117: the background is the part of Ev that is not from the sources.
     background = np.maximum(map_ev - source_ev, 0.0) / np.pi
     terms = source_terms(mean, omega, right, up, ev, background[hour])
-    of_sources = np.zeros((len(maps), len(terms), map_ev.shape[1]))
-    np.add.at(of_sources, hour, terms.swapaxes(0, 1))
-    sun = np.zeros((len(maps), 3)) if sun_direction is None else sun_direction
-    disc = np.zeros((len(maps), 1)) if disc_lx is None else np.asarray(disc_lx, float)[..., None]
+    sums = np.zeros((len(by_map), len(terms), map_ev.shape[1]))
+    np.add.at(sums, hour, terms.swapaxes(0, 1))
+    return source_ev, background, sums.swapaxes(0, 1)
+
+
+def _sums_of_suns(
+    sun: Floats, disc_lx: Floats, views: Views, background: Floats
+) -> tuple[Floats, Floats]:
+    """Return Ev of the sun and its images [n, d] lx, and the sums of their terms [3, n, d].
+
+    sun : unit vectors [n, 3], or [m, n, 3] of the sun and images; disc_lx : normal illuminance from
+    each [n, 1], or [m, n, 1]; background : luminance [n, d] cd/m2. Terms: rows of `source_terms`.
+    """
     right, up, cosine = _sun_angles(sun, views)  # [n, d], or [m, n, d]
-    sun_ev, sun_cdm2 = disc * np.clip(cosine, 0.0, None), disc * (cosine > 0) / SUN_SOLID_ANGLE_SR
-    terms = source_terms(sun_cdm2, np.asarray(SUN_SOLID_ANGLE_SR), right, up, sun_ev, background)
-    all_ev = sun_ev.reshape(-1, *map_ev.shape).sum(axis=0)
-    of_suns = terms.reshape(len(terms), -1, *map_ev.shape).sum(axis=1)
-    sums = of_sources.swapaxes(0, 1) + of_suns
-    view = ViewSums(map_ev + all_ev, source_ev + all_ev, background, *sums)
-    parts = {"contrast": view.contrast, "sun_contrast": of_suns[0], "sun_ev_lx": all_ev}
-    return parts | {name: metric.formula(view) for name, metric in METRICS.items()}
+    ev, cdm2 = disc_lx * np.clip(cosine, 0.0, None), disc_lx * (cosine > 0) / SUN_SOLID_ANGLE_SR
+    terms = source_terms(cdm2, np.asarray(SUN_SOLID_ANGLE_SR), right, up, ev, background)
+    all_ev = ev.reshape(-1, *background.shape).sum(axis=0)
+    return all_ev, terms.reshape(len(terms), -1, *background.shape).sum(axis=1)
 
 
 def source_terms(
     mean_cdm2: Floats, omega: Floats, right: Floats, up: Floats, ev_lx: Floats, background: Floats
 ) -> Floats:
-    """Return three terms of each glare source, or sun, to sum over sources, [3, ...].
+    """Return the three terms of each glare source that metrics sum over sources, [3, ...].
 
-    mean_cdm2 : mean luminance [...]; omega : solid angle, sr; right, up : coordinates [rad]; ev_lx
-    : vertical illuminance by the source; background : luminance [cd/m2]; all [...]. Rows: L^2 omega
-    / P^2 (`contrast`); Hopkinson's term 0.478 L^1.6 (omega / P^2)^0.8 / (Lb + 0.07 omega^0.5 L) for
-    `dgi`; illuminance over the squared angle from the line of sight [lx/deg2] for `veiling_cdm2`.
+    A sun is a source too. mean_cdm2 : mean luminance; omega : solid angle, sr; right, up :
+    coordinates by `angles_from_view` [rad]; ev_lx : vertical illuminance by the source; background
+    : luminance around it [cd/m2]; all [...]. Rows: L^2 omega / P^2 (`contrast`); Hopkinson's term
+    0.478 L^1.6 (omega / P^2)^0.8 / (Lb + 0.07 omega^0.5 L) for `dgi`; illuminance over the squared
+    angle from the line of sight [lx/deg2] for `veiling_cdm2`.
     """
     index = position_index(right, up)
-    share = np.maximum(background + 0.07 * np.sqrt(omega) * mean_cdm2, 1e-12)
-    dgi_term = 0.478 * mean_cdm2**1.6 * (omega / index**2) ** 0.8 / share
+    adaptation_cdm2 = np.maximum(background + 0.07 * np.sqrt(omega) * mean_cdm2, 1e-12)
+    dgi_term = 0.478 * mean_cdm2**1.6 * (omega / index**2) ** 0.8 / adaptation_cdm2
     # at least 1 degree: Stiles-Holladay is valid from 1 to 30 degrees
     angle_deg = np.degrees(np.maximum(np.hypot(right, up), np.radians(1.0)))
     return np.stack([mean_cdm2**2 * omega / index**2, dgi_term, ev_lx / angle_deg**2])
@@ -258,35 +282,38 @@ def with_disc(parts: dict[str, Floats], *discs: DiscLight) -> tuple[Floats, Floa
     """
     ev = parts["ev_lx"] - parts["sun_ev_lx"]
     contrast = np.maximum(parts["contrast"] - parts["sun_contrast"], 0.0)
-    for of_lx, source_lx in discs:
+    for (ev_per_lx, contrast_per_lx2), source_lx in discs:
         source = np.asarray(source_lx, float)[..., None]
-        ev, contrast = ev + source * of_lx[0], contrast + source**2 * of_lx[1]
+        ev, contrast = ev + source * ev_per_lx, contrast + source**2 * contrast_per_lx2
     return ev, contrast
 
 
 def _sun_angles(sun: Floats, views: Views) -> tuple[Floats, Floats, Floats]:
-    """Return right, up and cosine of suns [..., 3] in d views, [..., d] each."""
-    angles = [angles_from_view(np.asarray(sun, float), frame) for frame in views.frames]
-    right, up, cosine = (np.stack([part[k] for part in angles], axis=-1) for k in range(3))
+    """Return the coordinates right, up [rad] and the cosine of suns in d views, [..., d] each.
+
+    sun : unit vectors [..., 3]. The coordinates and the cosine are those of `angles_from_view`.
+    """
+    by_view = [angles_from_view(np.asarray(sun, float), frame) for frame in views.frames]
+    right, up, cosine = (np.stack(parts, axis=-1) for parts in zip(*by_view, strict=True))
     return right, up, cosine
 
 
 # ----------------------------------------------------------------------------------------------
-# unseen parts: they are not dark. One luminance, from 0 up to the brightest that is likely, gives
-# the minimum and maximum DGP. More light on the eye can lower DGP (the contrast term falls with
-# Ev), so that the lower bound is not always at 0 cd/m2.
+# The parts of a view that no lens saw are not dark. They are assumed to have one luminance, from 0
+# to the brightest that is likely, which gives the minimum and maximum DGP. More light on the eye
+# can lower DGP (the contrast term falls with Ev), so that the minimum is not always at 0 cd/m2.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewCoverage:
-    """The seen and unseen parts of d view directions.
+    """How much of each of d view directions the lenses saw.
 
     seen_share [d] : share (0 to 1) of the vertical illuminance of a uniform field that comes from
-    seen pixels; unseen_illuminance [d] : integral over the unseen part of the cosine, sr;
-    unseen_sources [d] : of 1 over the square of the position index, sr. Times a luminance and a
-    squared luminance, the last two give what the unseen part adds to Ev and to `contrast`; they are
-    0 for a complete direction. words [d] : "seen" (a share of 0.98 or more), "partly
-    seen" (0.5 or more) or "not seen".
+    seen pixels. unseen_illuminance [d] : integral of the cosine over the unseen part, sr; times the
+    part's luminance it is what the part adds to Ev. unseen_sources [d] : integral of 1 over the
+    squared position index, sr; times the squared luminance it is what the part adds to `contrast`.
+    Both are 0 for a complete direction. words [d] : "seen" (a share of 0.98 or more), "partly seen"
+    (0.5 or more) or "not seen".
     """
 
     seen_share: Floats
@@ -303,9 +330,10 @@ class ViewCoverage:
 def view_coverage(views: Views) -> ViewCoverage:
     """Return how much of each view direction the pixels with a weight in `views` cover.
 
-    The unseen part is the hemisphere in front without them. A single source of all of it has the
-    position index of its centre, which may be smaller than that of its pixels.
+    The unseen part is the rest of the hemisphere in front. It can be one large glare source, with
+    the position index of its centre, or many: `unseen_sources` is the larger of both.
     """
+    # rows as in `Views.hemisphere`: illuminance, solid angle, moments right and up, sources
     seen = np.zeros_like(views.hemisphere)
     seen[0] = views.illuminance.sum(axis=0, dtype=float)
     share = np.minimum(seen[0] / views.hemisphere[0], 1.0)
@@ -319,26 +347,27 @@ def view_coverage(views: Views) -> ViewCoverage:
         seen[1:4] += part.sum(axis=0)
         seen[4] += (part[:, 0] / index**2).sum(axis=0)
     unseen = (views.hemisphere - seen) * incomplete
-    illuminance, area, right, up, apart = unseen
+    illuminance, area, right_moment, up_moment, many_sources = unseen
     area = np.maximum(area, 1e-30)
     # the centre is at most 90 degrees from the line of sight
-    shrink = np.minimum(1.0 / area, 0.5 * np.pi / np.maximum(np.hypot(right, up), 1e-30))
-    together = area / position_index(right * shrink, up * shrink) ** 2
+    off = np.maximum(np.hypot(right_moment, up_moment), 1e-30)
+    shrink = np.minimum(1.0 / area, 0.5 * np.pi / off)
+    one_source = area / position_index(right_moment * shrink, up_moment * shrink) ** 2
     return ViewCoverage(
         seen_share=share,
         unseen_illuminance=illuminance,
-        unseen_sources=np.maximum(apart, together),
+        unseen_sources=np.maximum(many_sources, one_source),
         words=seen_words(share),
     )
 
 
 def brightest_cdm2(luminance_cdm2: Floats, views: Views) -> Floats:
-    """Return the luminance exceeded in the brightest hundredth of the seen solid angle, [n].
+    """Return the luminance that 1 % of the seen solid angle exceeds, [n] in cd/m2.
 
-    luminance_cdm2 : [n, H, W] of n maps; views : their weights; only seen directions count. 0
-    without any.
+    luminance_cdm2 : [n, H, W] of n maps; views : weights of their pixels. 0 if nothing was seen.
     """
-    step = luminance_cdm2[0].size // 20_000 | 1  # odd: not every time the same columns
+    # About 20 000 pixels are enough. The step is odd: an even one could hit the same columns only.
+    step = luminance_cdm2[0].size // 20_000 | 1
     weights = views.moments[::step, 0].max(axis=1)
     flat = luminance_cdm2.reshape(len(luminance_cdm2), -1)[:, ::step]
     if not weights.any():
@@ -383,9 +412,9 @@ def local_contrast(image: Floats) -> Floats:
     """
     values = np.asarray(image, np.float64)
     out = np.zeros_like(values)
-    for step in product((-1, 0, 1), repeat=2):
-        far = max(float(np.linalg.norm(step)), 1.0)
-        out += np.abs(values - np.roll(values, step, (0, 1))) / far
+    for shift in product((-1, 0, 1), repeat=2):  # rows down, columns to the right
+        distance_px = max(float(np.linalg.norm(shift)), 1.0)
+        out += np.abs(values - np.roll(values, shift, (0, 1))) / distance_px
     out[[0, -1]] = out[:, [0, -1]] = 0.0
     return out / (4.0 + 2.0 * np.sqrt(2.0))
 
@@ -415,7 +444,8 @@ def region_weights(views: Views) -> tuple[Floats32, Floats32, Floats32]:
     """
     rays, omega = views.rays()
     _, up, forward = np.moveaxis(rays, 1, 0)
-    half = omega * views.ahead  # a pixel on the edge of a fisheye is often half black
+    # without pixels on the edge of a fisheye, which are often half black
+    half = omega * views.ahead
     below, radius, reach = np.radians((TASK_ALTITUDE_DEG, TASK_RADIUS_DEG, BAND_DEG))
     task = half * (up * np.sin(below) + forward * np.cos(below) > np.cos(radius))
     band = half * (np.abs(up) < np.sin(reach))
@@ -428,14 +458,15 @@ def region_weights(views: Views) -> tuple[Floats32, Floats32, Floats32]:
 def region_ratios(
     luminance_cdm2: Floats, weights: tuple[Floats32, Floats32, Floats32]
 ) -> dict[str, Floats]:
-    """Return three figures by name, [n, d] each, of n maps in d view directions.
+    """Return task luminance, window over task luminance and uniformity, by name, [n, d] each.
 
-    luminance_cdm2 : [n, H, W]; weights : of `region_weights`. task_cdm2 : mean luminance of the
-    task cone, which has 15 degrees radius and is 30 degrees below the line of sight.
-    window_to_task : mean luminance of the pixels above 2000 cd/m2 in the front hemisphere, over
-    task_cdm2; NaN without such pixels. uniformity : harmonic over arithmetic mean luminance of the
-    band within 20 degrees of the horizon: 1 if the band is uniform, less with dark corners. Figures
-    are of the seen pixels; NaN if they are less than 90 % of the task cone, or of the band.
+    They are of n maps in d view directions. luminance_cdm2 : [n, H, W]; weights : of
+    `region_weights`. task_cdm2 : mean luminance of the task cone, which has 15 degrees radius and
+    is 30 degrees below the line of sight. window_to_task : mean luminance of the pixels above 2000
+    cd/m2 in the front hemisphere, over task_cdm2; NaN without such pixels. uniformity : harmonic
+    over arithmetic mean luminance of the band within 20 degrees of the horizon: 1 if the band is
+    uniform, less with dark corners. Figures are of the seen pixels; NaN if they are less than 90 %
+    of the task cone, or of the band.
     """
     half, task, band = weights
     flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, JsonTable, Panorama, SunSource, counted, utc_text
 from fieldlum.optics import projection
@@ -16,7 +16,7 @@ from fieldlum.optics.images import require_panorama
 from fieldlum.optics.melanopic import melanopic_edi, melanopic_ratio
 from fieldlum.sky.sun_disc import find_disc, without_disc
 from fieldlum.year.glare import metrics, pictures
-from fieldlum.year.glare.pictures import Picture, read_picture
+from fieldlum.year.glare.pictures import Picture
 from fieldlum.year.glare.sources import (
     Sources,
     Views,
@@ -58,7 +58,7 @@ def picture_glare(
     `glare_answer`. Raises InputError for an unusable picture, for azimuths other than the own one
     of a picture that is no panorama, or if a picture to scale has no light in its first view.
     """
-    picture = read_picture(path, view_options, part)
+    picture = pictures.read_picture(path, view_options, part)
     picture = picture if lamps is None else replace(picture, lamps=lamps)
     judge = partial(glare_answer, picture, path, azimuths_deg)
     if measured_ev_lx is None:
@@ -103,39 +103,29 @@ def glare_answer(
     picture covers; 1 for a panorama. rammg_cdm2 : of a panorama, see `contrast`.
 
     views, a table for each direction : azimuth_deg, altitude_deg (of a single picture) : its
-    direction. The names of `METRICS` and of `region_ratios`. melanopic_edi_lx : by the
-    camera's colour, or the estimate; u_melanopic_edi_lx : its standard uncertainty, or None.
-    verdict : the grade of DGP; "A to B" if dgp_low and dgp_high have different ones; "not seen".
-    seen : "seen", "partly seen" or "not seen", by seen_share (see `ViewCoverage`). dgp_low,
-    dgp_high : bounds of DGP of a partly seen direction. source_count, sources : of a single
-    picture, the strongest 20. reference : evalglare's figures, if requested, of fully seen
-    directions. Undefined figures are None.
+    direction. The names of `METRICS` and of `region_ratios`. melanopic_edi_lx : by the camera's
+    colour, or the estimate; u_melanopic_edi_lx : its standard uncertainty, or None. verdict : the
+    grade of DGP; "A to B" if dgp_low and dgp_high have different ones; "not seen". seen : "seen",
+    "partly seen" or "not seen", by seen_share (see `ViewCoverage`). dgp_low, dgp_high : bounds of
+    DGP of a partly seen direction. source_count, sources : of a single picture, the strongest 20.
+    reference : evalglare's figures, if requested, of fully seen directions. Undefined figures are
+    None.
     """
-    panorama, view, heading_deg = picture.panorama, picture.view, picture.panorama.heading_deg
-    seen_mask = panorama.seen
+    panorama, heading_deg = picture.panorama, picture.panorama.heading_deg
+    views, share = _views_and_share(picture, path, azimuths_deg)
     pixels, warnings = valid_pixels(panorama, path)
     pixels *= np.float32(factor)
-    height, width = pixels.shape
-    sun, share = panorama.sun, 1.0
+    sun = panorama.sun
     if sun is not None:
         sun = replace(sun, normal_illuminance_lx=sun.normal_illuminance_lx * factor)
-    if view is None:
-        azimuths = np.asarray(azimuths_deg or view_azimuths_deg(heading_deg), float) % 360.0
+    if views.is_panorama:
         pixels, sun = take_out_sun(pixels, heading_deg, sun)
-        views = panorama_views(height, width, heading_deg, azimuths, seen_mask)
-    else:
-        off_deg = projection.signed_angle_deg(np.asarray(azimuths_deg) - view.azimuth_deg)
-        if np.abs(off_deg).max(initial=0.0) > 1e-3:
-            found = f"a picture of one view direction, {view.azimuth_deg:.1f} deg"
-            raise InputError(path, found, "a panorama", "remove --view-azimuth")
-        views = pictures.picture_views(view, height, width, seen_mask)
-        share = min(1.0, float(views.moments[:, 0].sum(dtype=float)) / (2.0 * np.pi))
     sources = glare_sources(pixels, views)
     rows = _view_rows(pixels, picture, views, sources, sun)
     if reference:
         _add_reference(rows, pixels, picture, views, sun)
     graded = [np.nan if row["seen"] == projection.NOT_SEEN else row["dgp"] for row in rows]
-    texts = (*_picture_texts(picture, seen_mask), *warnings, *_figure_texts(rows, share, factor))
+    texts = (*_picture_texts(picture), *warnings, *_figure_texts(rows, share, factor))
     answer: JsonTable = {
         "file": str(path),
         "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
@@ -147,17 +137,40 @@ def glare_answer(
         "warnings": list(texts),
         "covered_share": share,
     }
-    if view is None:
+    if views.is_panorama:
         answer["rammg_cdm2"] = metrics.rammg(pixels)
     return answer, sources
+
+
+def _views_and_share(
+    picture: Picture, path: Path, azimuths_deg: Sequence[float]
+) -> tuple[Views, float]:
+    """Return the weights of a picture's pixels, and the share of the hemisphere that it covers.
+
+    azimuths_deg : view directions around a panorama, ten if empty; the share is then 1. Raises
+    InputError, which names `path`, for azimuths other than the own one of another picture.
+    """
+    panorama, view = picture.panorama, picture.view
+    height, width = panorama.luminance_cdm2.shape
+    if view is None:
+        azimuths = azimuths_deg or view_azimuths_deg(panorama.heading_deg)
+        place = (panorama.heading_deg, np.asarray(azimuths, float) % 360.0)
+        return panorama_views(height, width, *place, panorama.seen), 1.0
+    off_deg = projection.signed_angle_deg(np.asarray(azimuths_deg) - view.azimuth_deg)
+    if np.abs(off_deg).max(initial=0.0) > 1e-3:
+        found = f"a picture of one view direction, {view.azimuth_deg:.1f} deg"
+        raise InputError(path, found, "a panorama", "remove --view-azimuth")
+    views = pictures.picture_views(view, height, width, panorama.seen)
+    return views, min(1.0, float(views.moments[:, 0].sum(dtype=float)) / (2.0 * np.pi))
 
 
 def _view_rows(
     pixels: Floats, picture: Picture, views: Views, sources: Sources, sun: SunSource | None
 ) -> list[JsonTable]:
-    """Return the figures of each direction. pixels : luminance [H, W] without the sun.
+    """Return the tables `views` of the answer (see `glare_answer`), one for each view direction.
 
-    views, sources : of the picture; sun : its sun, None without one.
+    pixels : luminance [H, W] cd/m2 without the sun; views, sources : weights and glare sources of
+    the picture; sun : its sun, None without one.
     """
     rays = None if sun is None else projection.direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
@@ -191,16 +204,16 @@ def _view_rows(
 
 
 def _verdict(dgp: float) -> str:
-    """Return the grade of a DGP, which must not be NaN."""
+    """Return the grade of a DGP, such as "perceptible"; the DGP must not be NaN."""
     return next((name for limit, name in VERDICTS if dgp < limit), "intolerable")
 
 
 def _source_rows(sources: Sources) -> list[dict[str, float]]:
-    """Return the figures of the strongest sources of a single view, the strongest first."""
+    """Return the figures of the 20 strongest sources of a single view, the strongest first."""
     names = ("mean_cdm2", "solid_angle_sr", "right_deg", "up_deg", "ev_lx")
     mean, omega, right, up, ev_lx, _ = sources
     figures = np.stack([mean, omega, np.degrees(right), np.degrees(up), ev_lx])[..., 0]  # [5, s]
-    # the 20 strongest: a noisy picture can have thousands
+    # not all, because a noisy picture can have thousands
     order = np.argsort(sources.contrast[:, 0])[::-1][:20]
     return [dict(zip(names, figures[:, i].tolist(), strict=True)) for i in order]
 
@@ -270,15 +283,12 @@ def plain(value: float) -> float | None:
 # warnings
 
 
-def _picture_texts(picture: Picture, seen_mask: Mask) -> Iterator[str]:
-    """Yield the reader's notes, and warnings of unseen, dark and clipped pixels.
-
-    seen_mask: pixels that a lens saw [H, W].
-    """
-    panorama = picture.panorama
-    if picture.view is None and not seen_mask.all():
+def _picture_texts(picture: Picture) -> Iterator[str]:
+    """Yield the notes of the picture's reader, and warnings of unseen, dark and clipped pixels."""
+    panorama, unseen = picture.panorama, ~picture.panorama.seen
+    if picture.view is None and unseen.any():
         yield (
-            f"no lens saw {100 * (~seen_mask).mean():.0f} % of the panorama: view directions that "
+            f"no lens saw {100 * unseen.mean():.0f} % of the panorama: view directions that "
             "are mostly unseen have no result; partly seen ones have the lowest and highest DGP "
             "for an unseen part between black and the brightest 1 % of the seen part"
         )

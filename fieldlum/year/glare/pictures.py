@@ -30,21 +30,13 @@ from fieldlum.core.errors import FieldlumError, InputError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import Panorama, SunSource
 from fieldlum.core.room_states import is_lit
-from fieldlum.optics import images
-from fieldlum.optics.projection import (
-    altitude_azimuth_deg,
-    direction,
-    equirect_pixel,
-    equirect_rays,
-    equirect_solid_angles,
-)
+from fieldlum.optics import images, projection
 from fieldlum.session import Session, marks
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
 from fieldlum.year.glare.sources import Views, angles_from_view
 
-HOW_PANORAMA = "a panorama needs FIELDLUM_VIEW= equirect heading_deg=180 in its header"
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _INHERITED = "the VIEW is that of an input picture: it is wrong if that picture was cropped"
 
@@ -83,7 +75,7 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
 
 
 def _read_hdr(path: Path, view_options: str) -> Picture:
-    """Return a Radiance picture with its view: view_options, else its header's; else a panorama."""
+    """Return a Radiance picture with the view that view_options, or else its header, state."""
     picture, header = images.read_radiance_hdr(path)
     text = view_options or header.view
     if not view_options:
@@ -112,7 +104,7 @@ def _check_views(header: images.RadianceHeader, path: Path) -> None:
 
 
 def _read_exr(path: Path, view_options: str, part: str) -> Picture:
-    """Return an EXR picture, or its part, with its view: view_options, else the stated one."""
+    """Return an .exr picture, or its part, with the view that view_options, or else it, state."""
     picture, stated = images.read_exr(path, part)
     is_panorama = stated == "equirect" and not view_options
     if is_panorama:
@@ -148,10 +140,12 @@ def picture_views(
     seen_mask : pixels that a lens saw [H, W]; None for all. A pixel on the edge of the hemisphere
     has the weight of its part in front. The weights need 16 bytes of memory for each pixel.
     """
-    fine = np.ceil(_FINE_SAMPLES / min(height, width)).clip(1, _MAX_PIXEL_SAMPLES).astype(int)
-    steps = (np.arange(fine) + 0.5) / fine - 0.5
+    # samples along the edge of a pixel, and their places in it, in pixels from its centre
+    samples = np.ceil(_FINE_SAMPLES / min(height, width)).clip(1, _MAX_PIXEL_SAMPLES).astype(int)
+    steps = (np.arange(samples) + 0.5) / samples - 0.5
+    # of each pixel: illuminance weight, solid angle, its moments right and up
     weights, ahead = np.zeros((height, width, 4), np.float32), np.zeros((height, width), bool)
-    pixel = 1.0 / (height * width * fine**2)
+    sample_area = 1.0 / (height * width * samples**2)
     # about 40 MB of temporary arrays at a time
     block = max(1, 250_000 // width)
     for first in range(0, height, block):
@@ -161,8 +155,8 @@ def picture_views(
         for dy, dx in product(steps / height, steps / width):
             rays, density = picture_rays(view, x + dx, y + dy)
             right, up, cosine = angles_from_view(rays, np.eye(3))
-            part = np.where(cosine > 0.0, density * pixel, 0.0)
-            weights[rows] += np.stack([part * cosine, part, part * right, part * up], axis=-1)
+            omega = np.where(cosine > 0.0, density * sample_area, 0.0)
+            weights[rows] += np.stack([omega * cosine, omega, omega * right, omega * up], axis=-1)
     if seen_mask is not None:
         weights[~seen_mask] = 0.0
         ahead &= seen_mask
@@ -210,12 +204,12 @@ class PictureView:
     @property
     def azimuth_deg(self) -> float:
         """Azimuth of the view direction, clockwise from north, in [0, 360)."""
-        return float(altitude_azimuth_deg(self.forward)[1]) % 360.0
+        return float(projection.altitude_azimuth_deg(self.forward)[1]) % 360.0
 
     @property
     def altitude_deg(self) -> float:
         """Altitude of the view direction above the horizon, negative for a view downwards."""
-        return float(altitude_azimuth_deg(self.forward)[0])
+        return float(projection.altitude_azimuth_deg(self.forward)[0])
 
     @property
     def frame(self) -> Floats:
@@ -272,15 +266,18 @@ def picture_directions(picture: Picture) -> tuple[Floats, Floats]:
     """
     height, width = picture.panorama.luminance_cdm2.shape
     if picture.view is None:
-        rays = equirect_rays(height, width, picture.panorama.heading_deg)
-        return rays, equirect_solid_angles(height, width)
+        rays = projection.equirect_rays(height, width, picture.panorama.heading_deg)
+        return rays, projection.equirect_solid_angles(height, width)
     y, x = picture_centres(height, width)
     rays, density = picture_rays(picture.view, x, y)
     return rays @ picture.view.frame, density / (height * width)
 
 
 def _reach(kind: str, angle_deg: float) -> float:
-    """Return the radius of half an angle in a mapping with focal length 1."""
+    """Return the radius in a picture at half of the angle angle_deg from the axis.
+
+    kind : mapping, as in `PictureView`; the focal length of the picture is 1.
+    """
     half = np.radians(angle_deg) / 2.0
     reach = {"a": half, "h": np.sin(half), "s": 2.0 * np.tan(half / 2.0), "v": np.tan(half)}
     return float(reach[kind])
@@ -318,7 +315,7 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     numbers.
     """
     if not text:
-        remedy = f"{HOW}; {HOW_PANORAMA}"
+        remedy = f"{HOW}; a panorama needs FIELDLUM_VIEW= equirect heading_deg=180 in its header"
         raise InputError(source, "no VIEW in the header", "the picture's view", remedy)
     kind = (re.findall(r"(?<!\S)-vt(\S)(?!\S)", text) or [""])[-1]
     if kind not in _MAX_DEG:
@@ -326,7 +323,7 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
         raise InputError(source, found, "-vta, -vth, -vts or -vtv", HOW)
 
     def numbers(name: str, *default: float) -> Floats:
-        """Return the numbers of the last option of a name, three of them as a unit vector."""
+        """Return the numbers after the last option `name`, or `default`; three as a unit vector."""
         is_vector = len(default) == 3
         found = re.findall(rf"(?<!\S)-{name}((?:\s+\S+){{1,{len(default)}}})", text) or [""]
         with input_errors(f"{source}: -{name}{found[-1][:80]}", "a number", HOW, ValueError):
@@ -337,7 +334,8 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
             raise InputError(source, f"-{name}{found[-1][:80]}", expected, HOW)
         return values / length
 
-    forward, up = numbers("vd", *direction(0.0, heading_deg)), numbers("vu", 0.0, 0.0, 1.0)
+    forward = numbers("vd", *projection.direction(0.0, heading_deg))
+    up = numbers("vu", 0.0, 0.0, 1.0)
     if abs(float(forward @ up)) > 0.9999:
         remedy = "write -vu 0 1 0 for a picture of the sky"
         raise InputError(source, "-vd and -vu are parallel", "two different directions", remedy)
@@ -402,18 +400,18 @@ def panorama_to_fisheye(
 def _fisheye_samples(
     height: int, width: int, heading_deg: float, azimuth_deg: float, size: int
 ) -> tuple[Mask, Indices]:
-    """Return which of the samples of a fisheye are in front, [k size, k size], and their pixels.
+    """Return which samples of a fisheye are in front [k size, k size], and their panorama pixels.
 
-    The pixels are places in the flattened panorama [height, width]; the rest is as for
-    `panorama_to_fisheye`.
+    There are k x k samples in each pixel of the fisheye. Panorama pixels are flat indices into the
+    panorama [height, width], one for each sample in front. Arguments: `panorama_to_fisheye`.
     """
     samples = max(2, int(np.ceil(2.0 * height / size)))
     y, x = picture_centres(size * samples, size * samples)
     view = parse_view(FISHEYE_VIEW, Path(), azimuth_deg)
     rays = picture_rays(view, x, y)[0]
     inside = rays[..., 2] > 0.0
-    place = altitude_azimuth_deg(rays[inside] @ view.frame)
-    row, column = equirect_pixel(*place, height, width, heading_deg)
+    place = projection.altitude_azimuth_deg(rays[inside] @ view.frame)
+    row, column = projection.equirect_pixel(*place, height, width, heading_deg)
     row, column = np.minimum(row, height - 1), np.minimum(column, width - 1)
     return inside, row.astype(np.int32) * width + column.astype(np.int32)
 
@@ -428,7 +426,7 @@ def disc_pixels(views: Views, shape: tuple[int, int], sun: SunSource) -> Floats3
     """
     out = np.zeros(shape, np.float32)
     rays, omega = views.rays()
-    towards = views.frames[0] @ direction(sun.altitude_deg, sun.azimuth_deg)
+    towards = views.frames[0] @ projection.direction(sun.altitude_deg, sun.azimuth_deg)
     off = np.linalg.norm(rays[:, :, 0] - towards.astype(np.float32), axis=1)  # chords, rad
     off[omega[:, 0] <= 0.0] = np.inf
     near = np.argsort(off)
@@ -503,10 +501,10 @@ def reference_glare_of_file(path: Path) -> ReferenceGlare:
 
 
 def _parse(text: str, trouble: str) -> ReferenceGlare:
-    """Parse the line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` and the number of sources.
+    """Return the figures in the text that evalglare printed.
 
-    text: what evalglare printed; trouble: what it reported as error. Raises FieldlumError without
-    that line.
+    It has the number of sources first, and a line `dgp,av_lum,E_v,lum_backg,...: 0.34 ...`.
+    trouble: what evalglare reported as error. Raises FieldlumError without that line.
     """
     line = next((line for line in text.splitlines() if line.startswith("dgp,")), "")
     names, _, values = line.partition(":")

@@ -17,35 +17,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.compiled import compiled
-from fieldlum.optics.projection import (
-    altitude_azimuth_deg,
-    direction,
-    equirect_pixel,
-    equirect_rays,
-    equirect_solid_angles,
-)
+from fieldlum.optics import projection
 
-PAPER_VIEWS = 10  # horizontal, 36 degrees apart (Liu, Colburn and Inanici 2020)
 MAX_POSITION_INDEX = 16.0  # as evalglare limits it (source of evalglare 3)
 
 
-def view_azimuths_deg(heading_deg: float, views: int = PAPER_VIEWS) -> Floats:
+def view_azimuths_deg(heading_deg: float, views: int = 10) -> Floats:
     """Return the azimuths of `views` horizontal directions at equal steps, [views].
 
     The first is `heading_deg`; the others follow clockwise. All are in degrees clockwise from
-    north, in [0, 360).
+    north, in [0, 360). Ten directions are those of Liu, Colburn and Inanici 2020.
     """
     return (heading_deg + np.arange(views) * 360.0 / views) % 360.0
 
 
-def view_frame(azimuth_deg: float, altitude_deg: float = 0.0) -> Floats:
-    """Return the unit vectors right, up and forward of an upright head that looks there, [3, 3].
+def view_frame(azimuth_deg: float) -> Floats:
+    """Return the unit vectors right, up and forward of a horizontal view as rows, [3, 3].
 
-    Rows are the vectors, columns x east, y north, z up. azimuth_deg : of the view direction,
-    clockwise from north; altitude_deg : above the horizon.
+    Columns are x east, y north, z up. azimuth_deg : of the view direction, clockwise from north.
     """
-    forward = direction(altitude_deg, azimuth_deg)
-    right = direction(0.0, azimuth_deg + 90.0)
+    forward = projection.direction(0.0, azimuth_deg)
+    right = projection.direction(0.0, azimuth_deg + 90.0)
     return np.stack([right, np.cross(right, forward), forward])
 
 
@@ -72,11 +64,12 @@ def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> Floats:
     """
     right, up = np.asarray(right_rad, float), np.asarray(up_rad, float)
     angle = np.hypot(right, up)
+    # Guth's angles in degrees: sigma from the line of sight, tau from the vertical
     sigma = np.degrees(angle)
     tau = np.degrees(np.arctan2(np.abs(right), np.abs(up)))
     linear = (35.2 - 0.31889 * tau - 1.22 * np.exp(-2.0 * tau / 9.0)) / 1000.0
     square = (21.0 + 0.26667 * tau - 0.002963 * tau**2) / 100_000.0
-    above = np.exp(linear * sigma + square * sigma**2)  # sigma, tau: Guth's angles in degrees
+    above = np.exp(linear * sigma + square * sigma**2)
     wider = np.sqrt(1.0 + 0.3225 * np.cos(np.radians(tau)) ** 2)
     slope = np.tan(np.minimum(angle, np.pi / 2 - 1e-6)) * wider
     beta = np.degrees(np.arctan(slope))
@@ -88,14 +81,14 @@ def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> Floats:
 class Views:
     """The weights of each pixel of a picture of P pixels for each of d view directions.
 
-    A panorama has any number of horizontal directions, another picture its own one.
-    azimuths_deg : [d] the view directions, clockwise from north. frames : [d, 3, 3] unit vectors
-    right, up and forward of each as rows. illuminance : [P, d] solid angle times cosine to the
-    view direction, sr; its product with a flat map is Ev. moments : [P, 3, d] solid angle, sr, and
-    this times the pixel's coordinates right and up by `angles_from_view`. Both are 0 behind the
-    observer and for pixels that no lens saw. ahead : [P, d] pixels with a weight whose centre is in
-    front. hemisphere : [5, d] sums over the complete hemisphere in front: of illuminance, of
-    moments, and of solid angle over squared position index.
+    A panorama has any number of horizontal directions, another picture its own one. azimuths_deg :
+    [d] the view directions, clockwise from north. frames : [d, 3, 3] unit vectors right, up and
+    forward of each as rows. illuminance : [P, d] solid angle times cosine to the view direction,
+    sr; its product with a flat map is Ev. moments : [P, 3, d] solid angle, sr, and this times the
+    pixel's coordinates right and up by `angles_from_view`. Both are 0 behind the observer and for
+    pixels that no lens saw. ahead : [P, d] pixels with a weight whose centre is in front.
+    hemisphere : [5, d] sums over the complete hemisphere in front: of illuminance, of moments, and
+    of solid angle over squared position index.
     """
 
     azimuths_deg: Floats
@@ -124,20 +117,21 @@ def panorama_views(
     """Return `Views` of a panorama: its pixels' weights in d view directions, for all hours.
 
     height, width : of the panorama in pixels; heading_deg : azimuth of its centre column;
-    azimuths_deg : [d] view directions; azimuths are clockwise from north. seen : pixels that a
-    lens saw [H, W]; None for all. The weights need 16 bytes of memory for each pixel and direction.
+    azimuths_deg : [d] view directions; azimuths are clockwise from north. seen : pixels that a lens
+    saw [H, W]; None for all. The weights need 16 bytes of memory for each pixel and direction.
     """
     azimuths = np.atleast_1d(np.asarray(azimuths_deg, float))
-    rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
-    omega = equirect_solid_angles(height, width).ravel()
+    rays = projection.equirect_rays(height, width, heading_deg).reshape(-1, 3)
+    omega = projection.equirect_solid_angles(height, width).ravel()
     is_seen = 1.0 if seen is None else seen.ravel()
+    # for each pixel and direction: illuminance weight, solid angle, its moments right and up
     pixels = np.empty((len(rays), 4, len(azimuths)), np.float32)
     frames = np.stack([view_frame(azimuth) for azimuth in azimuths])
     hemisphere = np.empty((5, len(azimuths)))
-    # so that a uniform hemisphere gives exactly pi: the cosine in the middle of a pixel is slightly
-    # larger than its mean over the pixel
-    facing = np.clip(-equirect_rays(height, width, 180.0).reshape(-1, 3)[:, 1], 0.0, None)
-    closure = float(np.pi / (omega @ facing))
+    # A uniform hemisphere must give exactly pi, but the cosine in the middle of a pixel is slightly
+    # larger than its mean over the pixel. The factor is that of a view to the south, minus y.
+    south = -projection.equirect_rays(height, width, 180.0).reshape(-1, 3)[:, 1]
+    closure = float(np.pi / (omega @ np.clip(south, 0.0, None)))
     for i, frame in enumerate(frames):
         right, up, cosine = angles_from_view(rays, frame)
         facing_sr = omega * (cosine > 0)
@@ -200,8 +194,8 @@ def _half_widths(height: int, radius_rad: float) -> Indices:
     other = row + np.arange(-reach, reach + 1)[:, None]
     near = np.clip(other, 0, height - 1)
     rest = np.sin(radius_rad / 2) ** 2 - np.sin((altitude[near] - altitude[row]) / 2) ** 2
-    share = np.clip(rest / (np.cos(altitude[near]) * np.cos(altitude[row])), 0.0, 1.0)
-    half = np.floor(np.arcsin(np.sqrt(share)) / np.pi * 2 * height).astype(np.intp)
+    sine_squared = np.clip(rest / (np.cos(altitude[near]) * np.cos(altitude[row])), 0.0, 1.0)
+    half = np.floor(np.arcsin(np.sqrt(sine_squared)) / np.pi * 2 * height).astype(np.intp)
     return np.where((rest >= 0.0) & (other == near), np.minimum(half, height), -1)
 
 
@@ -219,9 +213,11 @@ def group_pixels(mask: Mask) -> NDArray[np.int32]:
 
 
 def _joined_at_seam(labels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Join sources that meet across the panorama's seam, or at the zenith or nadir.
+    """Return the labels [H, W] with one number for sources that meet at the seam or a pole.
 
-    labels [H, W]: number of the source of each pixel, 0 for none.
+    labels [H, W]: number of the source of each pixel, 0 for none. The seam is between the last and
+    the first column of the panorama; all pixels of the first row meet at the zenith, those of the
+    last row at the nadir.
     """
     if labels.max() < 2:
         return labels
@@ -268,6 +264,7 @@ def glare_sources(luminance_cdm2: Floats, views: Views) -> Sources:
     bright = luminance_cdm2.ravel()[chosen].astype(float)[:, None]
 
     def total(values: Floats) -> Floats:
+        """Return the sum of values [n, d] over the pixels of each source, [s, d]."""
         return np.add.reduceat(values, starts, axis=0, dtype=float)
 
     omega, right_moment, up_moment = np.moveaxis(views.moments[chosen], 1, 0)  # [n, d] each
@@ -290,18 +287,18 @@ def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[NDArr
     pixels = np.flatnonzero(bright)
     if len(pixels) == 0:
         return []
-    row, column = np.unravel_index(pixels, shape)
-    if views is not None:  # grouped on a panorama of the directions
-        # Rows of a panorama of directions on which bright pixels of other pictures are grouped:
-        # 0.25 degrees, a twentieth of the distance within which they form one source. Chosen.
-        shape = (720, 2 * 720)
-        right, up, forward = np.moveaxis(views.rays(pixels)[0][:, :, 0], 1, 0)
-        altitude_deg, azimuth_deg = altitude_azimuth_deg(np.stack([right, forward, up], axis=-1))
-        row, column = equirect_pixel(altitude_deg, azimuth_deg, *shape, 0.0)
-        row = np.clip(row.astype(int), 0, shape[0] - 1)
-        column = np.clip(column.astype(int), 0, shape[1] - 1)
+    cells = np.stack(np.unravel_index(pixels, shape))
+    if views is not None:
+        # Other pictures are grouped on a panorama of their directions with pixels of 0.25 degrees,
+        # a twentieth of the distance within which they form one source. Chosen.
+        shape = (720, 1440)
+        rays = views.rays(pixels)[0][:, [0, 2, 1], 0]  # right, forward, up
+        place = projection.altitude_azimuth_deg(rays)
+        cells = np.stack(projection.equirect_pixel(*place, *shape, 0.0)).astype(int)
+    row, column = np.clip(cells, 0, np.array(shape)[:, None] - 1)
 
     def groups(chosen: Mask) -> NDArray[np.int32]:
+        """Return the number of the source of each bright pixel if only those of the mask count."""
         mask = np.zeros(shape, bool)
         mask[row[chosen], column[chosen]] = True
         return group_pixels(mask)[row, column]

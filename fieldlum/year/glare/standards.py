@@ -43,18 +43,18 @@ def disturbed_share(dgp: Floats) -> Floats:
 
 
 def dgp_per_scale(dgp: Floats, ev_lx: Floats) -> Floats:
-    """Return the change of DGP for a relative change of all luminances, [...].
+    """Return the derivative of DGP with respect to a common factor on all luminances, [...].
 
-    dgp, ev_lx : [...] each. By DGP's own formula: Ev times (1 + e), and the contrast term's
-    argument times (1 + e)^0.13.
+    dgp, ev_lx : [...] each. In DGP's formula the factor multiplies Ev, and the argument of the
+    contrast term by its power 2 - 1.87 = 0.13.
     """
     power = np.clip((dgp - DGP_EV * ev_lx - DGP_BASE) / DGP_CONTRAST, 0.0, None)
-    share = 1.0 - 10.0**-power  # x / (1 + x) of log10(1 + x)
+    share = 1.0 - 10.0**-power  # x / (1 + x), as the contrast term is log10(1 + x)
     return DGP_EV * ev_lx + 0.13 * DGP_CONTRAST / np.log(10.0) * share
 
 
 class DgpUncertainty(NamedTuple):
-    """What is uncertain about the DGP of n hours in d directions.
+    """How uncertain the DGP of n hours in d directions is.
 
     words [d] : "seen", "partly seen" or "not seen"; minimum, maximum [n, d] : DGP over possible
     light in the unseen part of a view; drawn [k, n, d] : DGP with the sun's disc as visible in each
@@ -145,18 +145,17 @@ def protection(
         over = {f"{limit:.2f}": int((dgp[:, i] > limit).sum()) for _, limit in CLASSES}
         row = DirectionYear(float(azimuth), NOT_SEEN, seen=word, hours_over=dict.fromkeys(over))
         if judged[i]:
-            at, figures = float(exceeded[i]), {}
+            figures = {"glare_class": class_of(exceeded[i]), "dgp_exceeded": float(exceeded[i])}
             if ends is not None:
                 low, high = map(float, ends[i])
-                figures = {"low": low, "high": high, "certain": class_of(low) == class_of(high)}
-            figures |= {"glare_class": class_of(at), "dgp_exceeded": at, "hours_over": over}
-            row = structs.replace(row, **figures)
+                figures |= {"low": low, "high": high, "certain": class_of(low) == class_of(high)}
+            row = structs.replace(row, hours_over=over, **figures)
         rows.append(structs.replace(row, sentence=_sentence(row)))
     return tuple(rows)
 
 
 def _sentence(row: DirectionYear) -> str:
-    """Return class, DGP and certainty of a direction."""
+    """Return a text with the class of a direction, its exceeded DGP, and how certain both are."""
     if row.dgp_exceeded is None:
         return "not seen: no lens saw enough of this direction"
     text = "below minimum" if row.glare_class == NO_CLASS else f"class {row.glare_class}"

@@ -35,7 +35,7 @@ _NORMAL, CAMERA = "normal", "camera"
 
 
 class Source(NamedTuple):
-    """One row of a budget.
+    """One source of uncertainty: a row of a budget.
 
     kind: "A" (from repeated observations) or "B" (GUM 4.2, 4.3). u: standard uncertainty of the
     input, in `unit`. contribution: what it adds to the figure's u, in the figure's unit; the
@@ -51,6 +51,7 @@ class Source(NamedTuple):
     contribution: float = 0.0
 
 
+# Their inputs are standard uncertainties already, so that u is 1 in the unit "u".
 MODEL = Source("light transport model", "A", _NORMAL, 1.0, "u", "half: all hours")
 DISC_SEEN = Source("whether the sun's disc is seen", "B", _NORMAL, 1.0, "u", "all hours")
 UNSEEN = Source("part of the view that no lens saw", "B", "rectangular", 1.0, "u", "hour")
@@ -83,7 +84,10 @@ Contribution = tuple[Source, Mapping[str, Floats]]
 
 
 class _Scene(NamedTuple):
-    """A picture whose luminance [H, W], sun and heading can be changed; azimuths_deg: [d]."""
+    """A panorama in d view directions, whose figures after a change of its light are computed.
+
+    luminance_cdm2: [H, W] without the sun's disc; sun: None without one; azimuths_deg: [d].
+    """
 
     picture: Picture
     luminance_cdm2: Floats
@@ -93,10 +97,10 @@ class _Scene(NamedTuple):
     def figures(
         self, more_cdm2: Floats | float = 0.0, more_sun: float = 0.0, turn_deg: float = 0.0
     ) -> dict[str, Floats]:
-        """Return Ev, DGP, melanopic EDI, and L of the pixel ahead, [d] each.
+        """Return DGP, Ev, melanopic EDI, and luminance of the pixel ahead, by name, [d] each.
 
-        more_cdm2: added to the luminance; more_sun: share that is added to the recorded sun;
-        turn_deg: of views.
+        more_cdm2: added to the luminance; more_sun: share of the sun's illuminance that is added to
+        it; turn_deg: added to the view directions. A picture without colour has no melanopic EDI.
         """
         panorama, sun, azimuths = self.picture.panorama, self.sun, self.azimuths_deg + turn_deg
         light = np.maximum(self.luminance_cdm2 + more_cdm2, 0.0)
@@ -109,22 +113,27 @@ class _Scene(NamedTuple):
         if melanopic_ratio(panorama) is not None:
             of_map = (panorama, light.ravel(), grid.illuminance, sun, parts["sun_ev_lx"][0])
             figures["melanopic EDI"] = melanopic_edi(*of_map, lamps=self.picture.lamps)[0]
+        # column of each view direction; the heading is in the middle of the panorama
         ahead = (azimuths - panorama.heading_deg) / 360.0 * width + width / 2
         column = np.floor(ahead).astype(int) % width
         return figures | {"luminance ahead": light[height // 2, column]}
 
     def half_range(self, **change: Any) -> dict[str, Floats]:
-        """Return half the difference of the figures for a change and for its opposite."""
-        up, down = (self.figures(**{k: s * v for k, v in change.items()}) for s in (1.0, -1.0))
+        """Return half the difference of the figures for a change and for its opposite, [d] each.
+
+        change: arguments of `figures`.
+        """
+        opposite = {name: -1.0 * value for name, value in change.items()}
+        up, down = self.figures(**change), self.figures(**opposite)
         return {name: np.abs(up[name] - down[name]) / 2 for name in up}
 
 
 def budget_of_file(path: Path, azimuths_deg: Sequence[float], lamps: bool | None) -> list[Budget]:
-    """Return `picture_budget` of a panorama on disk, with the heading's u by its session.
+    """Return `picture_budget` of a panorama on disk, with the uncertainty of its heading.
 
-    It is that of the sky view's pose, else the one of a compass. Raises InputError for an unusable
-    picture, or one that is no panorama. azimuths_deg: of the views; lamps: whether lamps are on,
-    None for unknown.
+    That is the one of the pose in the session's sky view, or of a compass without it. Raises
+    InputError for an unusable picture, or one that is no panorama. azimuths_deg: of the views;
+    lamps: whether lamps are on, None for unknown.
     """
     picture = read_picture(path)
     if picture.view is not None:
@@ -139,12 +148,12 @@ def budget_of_file(path: Path, azimuths_deg: Sequence[float], lamps: bool | None
 def picture_budget(
     picture: Picture, path: Path, azimuths_deg: Sequence[float], u_heading_deg: float
 ) -> list[Budget]:
-    """Return the budgets of DGP, Ev, melanopic EDI and the pixel ahead, in each view direction.
+    """Return the budgets of DGP, Ev, melanopic EDI and luminance ahead, for each view direction.
 
     picture: a panorama with its sun; path: names it in errors. u_heading_deg: standard uncertainty
-    of its heading. A picture without `u_percent` (of an earlier version or
-    another program) has one source for the complete uncertainty of its pixels, which then counts as
-    shared by all of them. Raises InputError for pixels that are not finite, or without uncertainty.
+    of its heading. A picture without `u_percent` (of an earlier version or another program) has one
+    source for the complete uncertainty of its pixels, which then counts as shared by all of them.
+    Raises InputError for pixels that are not finite, or without uncertainty.
     """
     panorama, azimuths = picture.panorama, np.asarray(azimuths_deg, float)
     light, _ = valid_pixels(panorama, path)
@@ -184,17 +193,21 @@ def year_budget(
 
 
 def of_share(name: str, kind: str, u_rel: float, shared_by: str = "all hours") -> Source:
-    """Return a source with a relative standard uncertainty, in percent."""
+    """Return a source whose relative standard uncertainty is `u_rel`; the row has it in percent."""
     return Source(name, kind, _NORMAL, 100 * u_rel, "%", shared_by)
 
 
 def camera_changes(u_rel: Mapping[str, float], figure: Floats) -> list[tuple[Source, Floats]]:
-    """Return each part of the camera's calibration, with what its u adds to a figure, [n, d]."""
+    """Return each part of the camera's calibration, with what its u adds to a figure, [n, d].
+
+    u_rel: relative standard uncertainty of each part; figure: the figure's change for a relative
+    change of all luminances, [n, d].
+    """
     return [(of_share(f"{CAMERA} {name}", "B", u), u * figure) for name, u in u_rel.items()]
 
 
 def camera_share(budgets: Sequence[Budget]) -> float:
-    """Return the share of the camera's calibration in the variance of all `budgets`, 0 to 1."""
+    """Return the share (0 to 1) of the camera's calibration in the variance of all `budgets`."""
     sources = [source for each in budgets for source in each.sources]
     camera = sum(s.contribution**2 for s in sources if s.name.startswith(CAMERA))
     return camera / max(sum(s.contribution**2 for s in sources), 1e-12)
@@ -222,12 +235,14 @@ def budgets_of_year(
     rng, shape, estimate = np.random.default_rng(0), values.shape, figures(values)
 
     def error(source: Source, change: Floats) -> Floats:
+        """Return one random error of the values by a source, [n, d]."""
         if change.ndim == 3:
             return change[rng.integers(len(change))]
         by_hour = source.shared_by == MODEL.shared_by
         return change * (standards.year_errors(shape, rng) if by_hour else rng.standard_normal())
 
     def spread(drawn: Sequence[dict[str, Floats]]) -> dict[str, Floats]:
+        """Return the rms difference of drawn figures from the estimates, [d] each."""
         off = {name: np.array([draw[name] for draw in drawn]) - estimate[name] for name in estimate}
         return {name: np.sqrt(np.mean(part**2, axis=0)) for name, part in off.items()}
 
@@ -243,22 +258,21 @@ def budgets_of_year(
 
 
 def _budgets(
-    at: Mapping[str, Floats], azimuths: Floats, rows: Sequence[Contribution], unit: str = "1"
+    estimates: Mapping[str, Floats], azimuths: Floats, rows: Sequence[Contribution], unit: str = "1"
 ) -> list[Budget]:
-    """Return a budget for each direction and figure; `rows` has what each source adds, [d].
+    """Return a budget for each direction and figure, without figures that are not finite.
 
-    at: the figures' estimates by name, [d] each; azimuths: of the directions [d] deg; unit: of
-    figures that are not in `UNITS`.
+    estimates: of the figures by name, [d] each; azimuths: of the directions [d] deg; rows: what
+    each source adds to the u of each figure; unit: of figures that are not in `UNITS`.
     """
-
-    def budget(name: str, i: int) -> Budget:
-        adding = [(source, added[name][i]) for source, added in rows if name in added]
-        sources = tuple(source._replace(contribution=float(share)) for source, share in adding)
-        estimate = float(at[name][i])
-        return Budget(name, UNITS.get(name, unit), float(azimuths[i]), estimate, sources)
-
-    places = range(len(azimuths))
-    return [budget(name, i) for i in places for name in at if np.isfinite(at[name][i])]
+    budgets = []
+    for i, azimuth_deg in enumerate(azimuths.tolist()):
+        for name in (name for name, values in estimates.items() if np.isfinite(values[i])):
+            adding = [(source, added[name][i]) for source, added in rows if name in added]
+            sources = tuple(source._replace(contribution=float(share)) for source, share in adding)
+            estimate = float(estimates[name][i])
+            budgets.append(Budget(name, UNITS.get(name, unit), azimuth_deg, estimate, sources))
+    return budgets
 
 
 COLUMNS = (
@@ -268,22 +282,27 @@ COLUMNS = (
 
 
 def write_budgets(path: Path, budgets: Iterable[tuple[str, Budget]]) -> None:
-    """Write (file, budget) pairs as csv with `COLUMNS`: a row a source, then one of the total u."""
+    """Write a csv with `COLUMNS`: for each budget a row for each source, and one of the combined u.
+
+    budgets: name of the file that a budget is of, and the budget.
+    """
     rows: list[tuple[object, ...]] = []
-    for name, b in budgets:
-        head = (name, b.figure, f"{b.azimuth_deg:g}", f"{b.estimate:.6g}", b.unit)
-        for s in b.sources:
-            share = 100 * s.contribution**2 / max(b.u**2, 1e-300)
+    for name, budget in budgets:
+        place = (name, budget.figure, f"{budget.azimuth_deg:g}")
+        head = (*place, f"{budget.estimate:.6g}", budget.unit)
+        for s in budget.sources:
+            share = 100 * s.contribution**2 / max(budget.u**2, 1e-300)
             figures = (s.u, s.unit, s.contribution / max(s.u, 1e-300), s.contribution, share)
             rows.append((*head, s.name, s.kind, s.distribution, *figures, s.shared_by))
-        rows.append((*head, "combined", "", _NORMAL, "", "", "", b.u, "100", ""))
+        rows.append((*head, "combined", "", _NORMAL, "", "", "", budget.u, "100", ""))
     write_csv(path, (dict(zip(COLUMNS, row, strict=True)) for row in rows), COLUMNS, digits=4)
 
 
 def read_budgets(path: Path) -> list[dict[str, str]]:
-    """Return the rows that `write_budgets` wrote, by column; none for a missing file.
+    """Return the rows that `write_budgets` wrote, as dicts by column; empty for a missing file.
 
-    Warns of a file that changed since. Raises InputError for other columns or contributions.
+    Warns if the file was changed after it was written. Raises InputError for other columns or
+    contributions.
     """
     if not path.is_file():
         return []
@@ -297,26 +316,30 @@ def read_budgets(path: Path) -> list[dict[str, str]]:
 
 
 def shared_u_rel(panorama: Panorama) -> dict[str, float]:
-    """Return the relative uncertainties that all pixels share, by name; empty if not stated."""
+    """Return the relative standard uncertainties that all pixels of a panorama share, by source.
+
+    Empty if the panorama states none.
+    """
     words = panorama.attributes.get(U_PERCENT, "").split()
     return {name: float(text) / 100 for name, text in (word.split("=") for word in words)}
 
 
 def _of_pixels(scene: _Scene) -> Iterator[Contribution]:
-    """Yield what the errors of pixels add to u of each figure: those that all share, and the rest.
+    """Yield the sources of the pixels' errors, with what each adds to the u of each figure.
 
-    A sun that the camera measured has the shared errors too.
+    First those that all pixels share, then what remains of each pixel's u. A sun that the camera
+    measured has the shared errors too.
     """
     panorama, light, sun = scene.picture.panorama, scene.luminance_cdm2, scene.sun
     by_camera = sun is not None and sun.origin in MEASURED_ORIGINS
     u = np.nan_to_num(np.asarray(panorama.u_cdm2, float))
-    rest = np.where(panorama.seen, u, 0.0) ** 2
+    rest = np.where(panorama.seen, u, 0.0) ** 2  # variance [H, W] that no source explains yet
     sines = np.sin((np.arange(len(light)) + 0.5) / len(light) * np.pi)[:, None] * (light > 0)
     mean_seen = float((light * sines).sum() / max(sines.sum(), 1e-9))
     stated = shared_u_rel(panorama)
     for name, u_rel in stated.items():
         share = u_rel * (np.full_like(light, mean_seen) if name == VEILING_GLARE else light)
-        rest = rest - share**2
+        rest -= share**2
         change = scene.half_range(more_cdm2=share, more_sun=u_rel * by_camera)
         yield of_share(name, "B", u_rel, "all pixels"), change
     rest = np.sqrt(np.maximum(rest, 0.0))
@@ -334,7 +357,7 @@ def _of_pixels(scene: _Scene) -> Iterator[Contribution]:
 
 
 def _of_sun_and_views(scene: _Scene, u_heading_deg: float) -> Iterator[Contribution]:
-    """Yield what the sun's disc, the heading and the melanopic colour add to u of each figure.
+    """Yield the sources sun's disc, heading and melanopic colour, with what each adds to u.
 
     scene: the picture in its view directions; u_heading_deg: standard uncertainty of its heading.
     """

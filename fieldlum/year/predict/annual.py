@@ -34,15 +34,16 @@ _UNITS = {"_wm2": "W m-2", "_lx": "lx", "_cdm2": "cd m-2", "_deg": "degree"}
 
 
 def unit_of(name: str) -> str:
-    """Return the unit of a column by its name; "1" for a figure without one."""
+    """Return the unit of a column as CF writes it, by the end of its name; "1" without a unit."""
     name = name.removesuffix("_estimate")
     return next((unit for end, unit in _UNITS.items() if name.endswith(end)), "1")
 
 
 def time_coordinate(t_utc: Sequence[datetime]) -> tuple[str, Any, dict[str, str]]:
-    """Return (dimension, values [n], attributes) of a coordinate `time` of xarray: UTC, no zone.
+    """Return the xarray coordinate `time` of n hours: dimension, values [n], and attributes.
 
-    t_utc: aware times [n]. The attributes' key is long_name.
+    t_utc: aware times [n]. Values are datetime64 in UTC, which has no time zone. The only attribute
+    is long_name.
     """
     times = np.array([t.astimezone(UTC).replace(tzinfo=None) for t in t_utc], "datetime64[ns]")
     return "time", times, {"long_name": "UTC"}
@@ -54,9 +55,11 @@ def dataset_of(
     hours: Mapping[str, Any],
     views: Mapping[str, Any],
 ) -> xr.Dataset:
-    """Return figures of n hours in d directions: `hours` over time, `views` over time and azimuth.
+    """Return the figures of n hours in d view directions as a dataset of xarray.
 
-    hours: [n] each; views: [n, d] each. Each variable has its unit as an attribute.
+    hours: figures without a direction by name, [n] each; views: those of each direction, [n, d]
+    each. The coordinates are time, and azimuth in ascending order; each figure has its unit as an
+    attribute.
     """
     import xarray as xr
 
@@ -68,14 +71,14 @@ def dataset_of(
         for name, values in table.items()
     }
     coordinates = {"time": time_coordinate(t_utc), "azimuth": azimuth}
-    return xr.Dataset(figures, coordinates).sortby("azimuth")  # as its plots need
+    return xr.Dataset(figures, coordinates).sortby("azimuth")  # which xarray's plots need
 
 
 @dataclass(frozen=True, slots=True)
 class Annual(HourlyFile):
-    """A predicted year: the daylight hours of hourly.csv, as read from `folder`.
+    """A predicted year: its n daylight hours in d view directions, with the summary of them.
 
-    summary: content of predict.json.
+    folder: that of its files; summary: the content of predict.json.
     """
 
     folder: Path
@@ -98,21 +101,21 @@ class Annual(HourlyFile):
 
     @property
     def occupied(self) -> Mask:
-        """Mask [n]: True for hours in which the room is used."""
+        """Mask [n], True for hours in which the room is used."""
         return self.hours["occupied"] > 0
 
     @property
     def judged(self) -> Mask:
-        """Mask [d]: True for directions with a DGP, of which the lenses saw at least half."""
+        """Mask [d], True for directions that have a DGP because lenses saw at least half of them."""
         return np.asarray(np.isfinite(self.views["dgp"]).any(axis=0))
 
 
 class Pictures(NamedTuple):
     """Maps of k hours for the report, [k, H, W] cd/m2, without the sun's disc.
 
-    kinds: why each hour was chosen, such as "p95 of best view 180" [k]; rows: index of each
-    hour in hourly.csv, from 0 [k]; disc_lx: illuminance of the visible disc on a plane normal to
-    the sun [k]; heading_deg: azimuth of the maps' centre column, clockwise from true north.
+    kinds: why each hour was chosen, such as "p95 of best view 180" [k]; rows: index of each hour in
+    hourly.csv, from 0 [k]; disc_lx: illuminance of the visible disc on a plane normal to the sun
+    [k]; heading_deg: azimuth of the maps' centre column, clockwise from true north.
     """
 
     kinds: tuple[str, ...]

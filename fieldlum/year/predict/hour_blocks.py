@@ -1,6 +1,6 @@
-"""Predict the maps of a year and their glare in blocks of hours: memory does not grow.
+"""Predict the maps of a year and their glare in blocks of hours, which limits memory.
 
-With --maps they are stored in one Zarr v3 store; each unit of work writes one shard.
+With --maps the maps are stored in one Zarr v3 store; each unit of work writes one shard.
 """
 
 import os
@@ -44,11 +44,11 @@ BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230; chosen
 
 @dataclass(frozen=True, slots=True)
 class HourBlock:
-    """Consecutive hours of a year: the model's prediction with its uncertainty, and the sun.
+    """The k consecutive hours of a block: their light, predicted maps, and sun.
 
-    rows: the k hours in the light given to `blocks`; prediction: its maps [k, H, W] cd/m2 have no
-    sun disc; disc_lx: illuminance of the disc as visible at the lens, on a plane normal to the sun
-    [k] lx; images: of the sun, for each mirror of the room.
+    rows: place of the hours among all hours of the year; prediction: its maps [k, H, W] cd/m2 have
+    no sun disc; disc_lx: illuminance by the part of the disc that the lens sees, on a plane normal
+    to the sun [k] lx; images: the sun's image in each mirror of the room.
     """
 
     rows: slice
@@ -87,8 +87,10 @@ class ModelRoom:
     """Site and room for which a model was trained, the size of its maps, and mirrors of the sun.
 
     heading_deg: azimuth of the maps' centre column, clockwise from true north; needs_patch: whether
-    the model needs maps of sun patches; seen [H, W]: True for pixels that a lens saw; sky_view: of
-    the model's captures.
+    the model needs maps of sun patches; seen [H, W]: True for pixels that a lens saw, None if all
+    were seen; sky_view: that of the model's captures, None for a model of an earlier version;
+    sky_view_file: name of the file if another sky view replaces it; pose: the camera's in the
+    captures, from which the sun's place in the maps follows.
     """
 
     setup: SiteFile
@@ -96,11 +98,11 @@ class ModelRoom:
     width: int
     heading_deg: float
     needs_patch: bool
-    seen: Mask | None = None  # [H, W]; None if all pixels were seen
+    seen: Mask | None = None
     mirrors: tuple[Mirror, ...] = ()
-    sky_view: SkyView | None = None  # None for a model of an earlier version
-    sky_view_file: str = ""  # name of a sky view in place of the model's
-    pose: CameraPose = field(default_factory=CameraPose)  # of its captures; tells where the sun is
+    sky_view: SkyView | None = None
+    sky_view_file: str = ""
+    pose: CameraPose = field(default_factory=CameraPose)
 
     @property
     def disc_from(self) -> str:
@@ -175,8 +177,8 @@ def blocks(
 # ----------------------------------------------------------------------------------------------
 # stored maps
 
-NAME, DRAFT = "maps.zarr", ".maps.zarr.tmp"
-MAPS = "luminance_cdm2"
+MAPS_FOLDER, DRAFT_FOLDER = "maps.zarr", ".maps.zarr.tmp"
+_MAPS_ARRAY = "luminance_cdm2"
 
 
 def map_coordinates(
@@ -197,17 +199,17 @@ def map_coordinates(
 
 
 def begin_maps(folder: Path, hours: int, room: ModelRoom) -> Path:
-    """Return a new store in `folder` with an array of NaN maps, [hours, H, W] as the room's.
+    """Create a draft store of maps in `folder`, all NaN, [hours, H, W], and return its path.
 
-    hours: number of the year's hours. Units of work write maps in parallel into it with
-    `write_maps`; `finish_maps` renames it to maps.zarr.
+    hours: number of the year's hours; room: has the size H, W of the maps. Units of work write maps
+    in parallel into it with `write_maps`; `finish_maps` renames it to maps.zarr.
     """
     import zarr
 
-    height, width, draft = room.height, room.width, folder / DRAFT
+    height, width, draft = room.height, room.width, folder / DRAFT_FOLDER
     group: Any = zarr.open_group(draft, mode="w", zarr_format=3)
     group.create_array(
-        MAPS,
+        _MAPS_ARRAY,
         shape=(hours, height, width),
         dtype="float32",
         chunks=(8, height, width),  # hours that are decompressed to read one
@@ -227,7 +229,7 @@ def write_maps(store: Path, start: int, maps: Floats32) -> None:
     """
     import zarr
 
-    array: Any = zarr.open_array(store / MAPS, mode="r+", zarr_format=3)
+    array: Any = zarr.open_array(store / _MAPS_ARRAY, mode="r+", zarr_format=3)
     array[start : start + len(maps)] = rounded(maps)
 
 
@@ -250,9 +252,10 @@ def finish_maps(folder: Path, annual: Annual, room: ModelRoom) -> None:
         attrs={"heading_deg": room.heading_deg, "site": room.setup.site.name},
     )
     time = {"time": {"units": "seconds since 1970-01-01", "dtype": "int64"}}
-    hours.to_zarr(folder / DRAFT, mode="a", zarr_format=3, consolidated=False, encoding=time)
-    shutil.rmtree(folder / NAME, ignore_errors=True)
-    (folder / DRAFT).rename(folder / NAME)
+    draft, final = folder / DRAFT_FOLDER, folder / MAPS_FOLDER
+    hours.to_zarr(draft, mode="a", zarr_format=3, consolidated=False, encoding=time)
+    shutil.rmtree(final, ignore_errors=True)
+    draft.rename(final)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -273,9 +276,10 @@ class HourFigures(NamedTuple):
 
 
 def joined(parts: Sequence[HourFigures]) -> HourFigures:
-    """Return the figures of all parts, in their order."""
+    """Return the figures of all hours of the parts, which are in the order of time."""
 
     def together(tables: Sequence[dict[str, Array]], axis: int = 0) -> dict[str, Array]:
+        """Return the arrays of all tables by name, joined along the axis of the hours."""
         return {k: np.concatenate([table[k] for table in tables], axis) for k in tables[0]}
 
     hours, views, doubts = zip(*parts, strict=True)
@@ -285,20 +289,20 @@ def joined(parts: Sequence[HourFigures]) -> HourFigures:
 
 
 class HourJudge:
-    """Computes the figures of predicted hours in some view directions of a room."""
+    """The view directions of a room, for which figures of predicted hours are computed."""
 
     def __init__(self, room: ModelRoom, azimuths_deg: Floats) -> None:
-        """Prepare the view directions azimuths_deg [d] around the horizon: weights and coverage."""
+        """Compute weights and coverage of horizontal view directions azimuths_deg [d]."""
         size, self._pose = (room.height, room.width, room.heading_deg), room.pose
         self.views = panorama_views(*size, azimuths_deg, room.seen)
         self._coverage = metrics.view_coverage(self.views)
         self._regions = metrics.region_weights(self.views)
 
     def glare(self, block: HourBlock) -> dict[str, Floats]:
-        """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
+        """Return the glare of k hours in d view directions, by column of hourly.csv, [k, d] each.
 
-        Those of uncertainty and of measured colour are missing. All further keys of
-        `glare_directions` are included.
+        The result also has the further keys of `glare_directions`. It has no uncertainties, and
+        nothing of measured colour.
         """
         maps, light, images = block.prediction.luminance_cdm2, block.light, block.images
         sun = self._pose.in_pictures(light.apparent_sun_direction)
@@ -311,27 +315,22 @@ class HourJudge:
     def figures(
         self, block: HourBlock, discs_lx: Floats, melanopic: MelanopicYear | None = None
     ) -> HourFigures:
-        """Return all figures of the k hours of a block.
+        """Return all figures of the k hours of a block, with their uncertainty.
 
-        discs_lx: illuminance of the sun's disc in random draws of its visibility [m, k]; melanopic:
-        colours by the captures, None without any.
+        discs_lx: illuminance of the sun's disc [m, k] in m random draws of its visibility;
+        melanopic: colours by the captures, None without any.
         """
         views, light, coverage, figures = self.views, block.light, self._coverage, self.glare(block)
         u_map_rel, u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
         ev_lx, contrast = figures["ev_lx"], figures["contrast"]
         u_maps = dgp_uncertainty(ev_lx, contrast, u_ev_rel, u_source_rel)
-        # the unseen part has at most the sky's mean or that of the brightest seen hundredth
+        # The unseen part is at most as bright as the mean sky, or the brightest hundredth seen.
         brightest = light.diffuse_lx / np.pi
         if coverage.unseen_illuminance.any():
             seen_cdm2 = metrics.brightest_cdm2(block.prediction.luminance_cdm2, views)
             brightest = np.maximum(brightest, seen_cdm2)
         minimum, maximum = metrics.unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
-        # the poses that `discs_of` draws by the seed 0
-        poses = self._pose.drawn(np.random.default_rng([0, 2]), len(discs_lx))
-        suns = [self._pose.in_pictures(light.apparent_sun_direction, values) for values in poses]
-        per_lx = metrics.sun_per_lx(np.stack(suns), views)
-        images = _images(block, views, len(discs_lx))
-        drawn_ev_lx, drawn_contrast = metrics.with_disc(figures, (per_lx, discs_lx), *images)
+        drawn_ev_lx, drawn_contrast = self._drawn_light(block, figures, discs_lx)
         if melanopic is not None:
             unseen_lx = brightest[:, None] * coverage.unseen_illuminance
             figures |= melanopic.figures(light, figures, u_map_rel, drawn_ev_lx, unseen_lx)
@@ -345,7 +344,7 @@ class HourJudge:
         for values in figures.values():
             values[:, ~coverage.judged] = np.nan
         hours = {
-            **{name: getattr(light, name) for name in HOUR_COLUMNS[:4]},
+            **{name: getattr(light, name) for name in HOUR_COLUMNS[:4]},  # irradiance, sun
             "disc_lx": block.disc_lx,
             "occupied": np.zeros(len(light)),
             "trusted": block.trusted.astype(float),
@@ -355,16 +354,30 @@ class HourJudge:
         doubt = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps)
         return HourFigures(hours, figures, doubt)
 
+    def _drawn_light(
+        self, block: HourBlock, figures: dict[str, Floats], discs_lx: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return Ev and contrast of DGP in m draws of the sun's place and visibility, [m, k, d].
+
+        figures: result of `glare`; discs_lx: illuminance of the sun's disc in the draws [m, k].
+        """
+        # the poses that `discs_of` draws by the seed 0
+        poses = self._pose.drawn(np.random.default_rng([0, 2]), len(discs_lx))
+        ray = block.light.apparent_sun_direction
+        suns = np.stack([self._pose.in_pictures(ray, values) for values in poses])
+        disc = (metrics.sun_per_lx(suns, self.views), discs_lx)
+        return metrics.with_disc(figures, disc, *_images(block, self.views, len(discs_lx)))
+
 
 def relative_uncertainty(
     block: HourBlock, views: Views, figures: dict[str, Floats]
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the relative standard uncertainties of the map's Ev, of Ev and of the sources.
+    """Return the relative standard uncertainties of the map's Ev, of Ev, and of the sources.
 
-    All are [k, d], of k hours in d directions. They are NaN where the model does not state its
-    error. Errors of the pixels of one picture count as fully correlated, because a model is often
-    too bright or too dark on a complete wall. The disc has 5 %. block: the hours; views: weights in
-    the directions; figures: the result of `glare_directions`.
+    All are [k, d], of k hours in d directions, and NaN where the model does not state its error.
+    Errors of the pixels of one picture count as fully correlated, because a model is often too
+    bright or too dark on a complete wall. The disc has 5 %. views: weights of the pixels; figures:
+    the result of `glare_directions` for the block.
     """
     predicted, maps = block.prediction, block.prediction.luminance_cdm2
     if predicted.log10_sd is None:
@@ -378,17 +391,19 @@ def relative_uncertainty(
         weight = np.where(maps > SOURCE_CDM2, maps, np.float32(0.0)) ** 2
         sums = metrics.map_ev_lx(weight, views)
         of_sources = metrics.map_ev_lx(weight * u_rel, views) / np.maximum(sums, 1e-6)
-    share_ev = figures["sun_ev_lx"] / np.maximum(figures["ev_lx"], 1e-6)
-    share = figures["sun_contrast"] / np.maximum(figures["contrast"], 1e-30)
-    u_ev_rel = np.hypot((1.0 - share_ev) * of_map_ev, share_ev * U_DISC)
-    return of_map_ev, u_ev_rel, np.hypot((1.0 - share) * of_sources, share * U_DISC)
+    # shares of the sun and its images in Ev and in the contrast of DGP
+    sun_ev = figures["sun_ev_lx"] / np.maximum(figures["ev_lx"], 1e-6)
+    sun_contrast = figures["sun_contrast"] / np.maximum(figures["contrast"], 1e-30)
+    of_ev = np.hypot((1.0 - sun_ev) * of_map_ev, sun_ev * U_DISC)
+    of_contrast = np.hypot((1.0 - sun_contrast) * of_sources, sun_contrast * U_DISC)
+    return of_map_ev, of_ev, of_contrast
 
 
 def _images(block: HourBlock, views: Views, count: int) -> Iterator[metrics.DiscLight]:
-    """Yield what 1 lx of each mirror's image adds to Ev and contrast, and `count` random draws.
+    """Yield the light of the sun's image in each mirror, in `count` draws of its visibility.
 
-    The draws are the image's illuminance in lx [count, n], or 0 where it is hidden. Draw i (from 0)
-    shows it in the hours whose chance of a visible image exceeds (i + 0.5) / count.
+    The draws are illuminances [count, k] lx, 0 where the image is hidden. Draw i (from 0) shows it
+    in the hours whose chance of a visible image exceeds (i + 0.5) / count.
     """
     draws = (np.arange(count)[:, None] + 0.5) / count
     for image in block.images:
@@ -409,9 +424,10 @@ def room_figures(
 
 
 def discs_of(room: ModelRoom, light: Light, seed: int) -> tuple[Floats, Floats]:
-    """Return the disc's illuminance normal to the sun [n] lx, and random draws of it [k, n] lx.
+    """Return the sun disc's illuminance in n hours [n] lx, and random draws of it [m, n] lx.
 
-    The disc is that which the lens sees, 0 where it is hidden. seed: of the draws.
+    It is that of the part that the lens sees, on a plane normal to the sun; 0 where the disc is
+    hidden. seed: of the draws.
     """
     rng = np.random.default_rng([seed, 2])
     view, setup = room.sky_view, room.setup
@@ -423,10 +439,11 @@ def discs_of(room: ModelRoom, light: Light, seed: int) -> tuple[Floats, Floats]:
 
 
 class _HoursJob(NamedTuple):
-    """The input of a worker, with folders relative to the unit's.
+    """The hours that a worker predicts, and all that it needs for them.
 
-    digest: of the model's files; light, disc_lx [n], discs_lx [k, n]: of the block; store: of maps,
-    "" for none.
+    model, store: folders of the model and of the maps (see `begin_maps`; "" for none), relative to
+    the folder of the unit of work; digest: sha256 of the model's files; start: index of the first
+    hour in the year; disc_lx [n], discs_lx [m, n]: results of `discs_of` for these hours.
     """
 
     model: str
@@ -440,7 +457,7 @@ class _HoursJob(NamedTuple):
     melanopic: MelanopicYear | None
 
     def block(self, rows: slice) -> Self:
-        """Return the job of some of its hours."""
+        """Return the job of the hours `rows`."""
         light, disc_lx, discs_lx = self.light[rows], self.disc_lx[rows], self.discs_lx[:, rows]
         return self._replace(start=rows.start, light=light, disc_lx=disc_lx, discs_lx=discs_lx)
 
@@ -458,10 +475,10 @@ def predict_figures(
 ) -> HourFigures:
     """Predict every hour of `light`, and return the figures in d view directions.
 
-    model_folder: the model's; room: its pose and setup; azimuths_deg: of the directions [d]; store:
-    of maps, None to write none; melanopic: colours by the captures, None without any; seed: of
-    random draws; scheduler: where hours are predicted. A unit of work has 64 hours; the last may
-    have fewer. Raises InputError and FloatingPointError as `blocks`.
+    room: that of the model in model_folder; azimuths_deg [d]: the directions; store: result of
+    `begin_maps`, None to write no maps; melanopic: colours by the captures, None without any; seed:
+    for random draws; scheduler: runs the units of work, each of 64 hours, the last of the rest.
+    Raises InputError and FloatingPointError as `blocks`.
     """
     model = model_folder.resolve()
     # the units' folder, from which workers find the model and the store of the maps
@@ -486,9 +503,10 @@ def predict_figures(
 
 
 def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
-    """Predict the hours of a unit and compute their glare; write the maps if `job.store` is set.
+    """Predict the hours of a unit of work, write their maps, and return their figures.
 
-    folder: that of the unit, to which the paths in `job` are relative.
+    Without `job.store` no maps are written. folder: that of the unit, to which the paths in `job`
+    are relative.
     """
     fitted, room, judge = _prepared(folder / job.model, job.digest, job.azimuths_deg)
     (block,) = blocks(fitted, room, job.light, job.disc_lx)
@@ -501,6 +519,9 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
 def _prepared(
     model_folder: Path, digest: str, azimuths_deg: tuple[float, ...]
 ) -> tuple[Fitted, ModelRoom, HourJudge]:
-    """Load a model and its views once per process; `digest` is of the folder's content."""
+    """Return the model in a folder, its room and its view directions.
+
+    They are loaded once for each process; another `digest` of the folder's files loads them again.
+    """
     room = room_of(read_config(model_folder), model_folder)
     return load(model_folder), room, HourJudge(room, np.array(azimuths_deg))

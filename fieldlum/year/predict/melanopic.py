@@ -36,15 +36,16 @@ if TYPE_CHECKING:
 
 Figures = Mapping[str, Floats]
 
-# Where captures do not decide: the ratio of an overcast sky, what a clear sky adds, and the sun's
-# over `sun_melanopic_ratio` (fits to two simulated rooms with a coloured sky), and that of lamps by
-# their colour (white LED of 3000 to 5000 K: 0.5 to 0.8), with the weight of _PRIOR captures.
+# Typical weights for rooms whose captures do not determine them: the ratio of an overcast sky, what
+# a clear sky adds, the sun's ratio over `sun_melanopic_ratio` (fits to two simulated rooms with a
+# coloured sky), and the ratio of lamps by their colour (white LED of 3000 to 5000 K: 0.5 to 0.8).
+# They count as much as _PRIOR captures.
 _TYPICAL, _PRIOR = np.array([1.0, 0.25, 0.95, 0.65]), 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class MelanopicYear:
-    """The ratio of melanopic to photopic light by hour and view direction, from n captures.
+    """A fit of the ratio of melanopic to photopic light to n captures, in d view directions.
 
     kernel, captured : covariance between hours, and the captures' features; coefficients [n, d] :
     kernel(hours, captured) @ coefficients is Ev over the total light outside. u_camera_rel :
@@ -63,7 +64,7 @@ class MelanopicYear:
 
     @property
     def u_rel(self) -> float:
-        """Relative standard uncertainty of the ratio and of the camera."""
+        """Relative standard uncertainty of the fit and of the camera's calibration together."""
         return float(np.hypot(self.u_fit_rel, np.linalg.norm([*self.u_camera_rel.values()])))
 
     def shares(self, light: Light) -> tuple[Floats, Floats]:
@@ -72,17 +73,18 @@ class MelanopicYear:
         They are what the same kernel lacks in the same hours without the sun, or without lamps.
         """
 
-        def ev_lx(of: Light) -> Floats:
-            values = self.kernel(_features(of), self.captured) @ self.coefficients
-            return np.maximum(values, 0.0) * of.total_lx[:, None]
+        def ev_lx(light: Light) -> Floats:
+            """Return the vertical illuminance that the kernel predicts, [n, d]."""
+            values = self.kernel(_features(light), self.captured) @ self.coefficients
+            return np.maximum(values, 0.0) * light.total_lx[:, None]
 
-        whole = np.maximum(ev_lx(light), MIN_LX)
+        complete = np.maximum(ev_lx(light), MIN_LX)
         less = (_without_sun(light), replace(light, states=None))
-        sun, lamp = (np.clip(1.0 - ev_lx(part) / whole, 0.0, 1.0) for part in less)
+        sun, lamp = (np.clip(1.0 - ev_lx(part) / complete, 0.0, 1.0) for part in less)
         return np.minimum(sun, 1.0 - lamp), lamp
 
     def ratio(self, light: Light) -> Floats:
-        """Return the ratio by colour in n hours, [n, d]."""
+        """Return the ratio of melanopic to photopic light in n hours, [n, d], without `LAMP_RATIO`."""
         return _parts(light, *self.shares(light)) @ self.weights * self.factors
 
     def figures(
@@ -92,9 +94,9 @@ class MelanopicYear:
 
         views : figures of the hours, with `ev_lx` and `sun_ev_lx`; u_map_rel [n, d] : relative
         standard uncertainty of the map's part of `ev_lx`; drawn_lx [m, n, d] : Ev in draws of the
-        sun's disc; unseen_lx [n, d] : the most that the unseen part of the view adds to Ev.
-        The further keys are what `edi_budget` needs. In hours with a lamp on the ratio is
-        `LAMP_RATIO` of that by colour; in hours that are not marked as without one it may be.
+        sun's disc; unseen_lx [n, d] : the most that the unseen part of the view adds to Ev. The
+        further keys are what `edi_budget` needs. In hours with a lamp on the ratio is `LAMP_RATIO`
+        of that by colour; in hours that are not marked as without one it may be.
         """
         by_colour, states = self.ratio(light), light.states or ("",) * len(light)
         may_be_lit = np.array([[OFF not in text] for text in states])
@@ -105,8 +107,8 @@ class MelanopicYear:
         of_sun = views["sun_ev_lx"] * sun_ratio
         drawn = ((drawn_lx - views["ev_lx"]) * sun_ratio).astype(np.float32)
         unseen = unseen_lx * ratio / np.sqrt(3.0)  # rms of 0 to this, about 0
-        of_ratio = np.sqrt(self.u_rel**2 + u_map_rel**2 + u_lamp_rel**2)
-        parts = (of_map * of_ratio, of_sun * melanopic.U_SUN, unseen)
+        u_of_map_rel = np.sqrt(self.u_rel**2 + u_map_rel**2 + u_lamp_rel**2)
+        parts = (of_map * u_of_map_rel, of_sun * melanopic.U_SUN, unseen)
         u = np.sqrt(sum(part**2 for part in parts) + (drawn**2).mean(axis=0))
         return {
             "melanopic_edi_lx": of_map + of_sun,
@@ -120,18 +122,22 @@ class MelanopicYear:
 
 
 def _lit(light: Light) -> Mask:
-    """Return in which hours a lamp is on, [n, 1]."""
+    """Return a mask [n, 1], True for the hours in which a lamp is on."""
     return np.array([[is_lit(text)] for text in light.states or ("",) * len(light)])
 
 
 def _features(light: Light) -> Features:
-    """Return the features of hours, with one for lamps."""
+    """Return the features of n hours for the kernel, with the one of lamps."""
     lamps = _lit(light) * (LAMP_LX / light.total_lx)[:, None]
     return replace(daylight_kernel.light_features(light), lamps=lamps)
 
 
 def _parts(light: Light, sun_share: Floats, lamp_share: Floats) -> Floats:
-    """Return what the weights multiply, [n, d, 4]."""
+    """Return the light that each weight of `MelanopicYear` multiplies, [n, d, 4].
+
+    These are shares (0 to 1) of the light at the eye: of the sky, of the sky times its clearness,
+    of the sun times its own ratio, and of lamps. sun_share, lamp_share: [n, d].
+    """
     beam = horizontal_beam(light.dni_wm2, light.sun_altitude_deg)
     clear = (beam / np.maximum(beam + light.dhi_wm2, 1.0))[:, None]
     sky = 1.0 - sun_share - lamp_share
@@ -142,11 +148,12 @@ def _parts(light: Light, sun_share: Floats, lamp_share: Floats) -> Floats:
 def fit_year(
     light: Light, ev_lx: Floats, edi_lx: Floats, u_camera_rel: Mapping[str, float], facades: Facades
 ) -> MelanopicYear:
-    """Fit the light at the eye in n captures and d directions.
+    """Fit the ratio of melanopic to photopic light to n captures in d view directions.
 
     light : of the captures; ev_lx, edi_lx : vertical illuminance and melanopic EDI without the
     sun's disc, [n, d]; u_camera_rel : relative standard uncertainty by each part of the camera's
-    calibration; facades : of the room. Days are held out.
+    calibration; facades : of the room. The uncertainty is the error for days that were held out, 10
+    % if all captures are of one day.
     """
     ratio, errors = edi_lx / ev_lx, []
     day = np.array([t.toordinal() for t in light.t_utc])
@@ -175,11 +182,12 @@ def fit_year(
 def _solve(parts: Floats, ratio: Floats) -> tuple[Floats, Floats]:
     """Return the weights [4] by relative least squares, and the factors of the directions [d].
 
-    parts: what the weights multiply, by `_parts` [n, d, 4]; ratio: melanopic over
-    photopic illuminance of the captures [n, d]. Few captures are pulled towards typical weights.
+    parts: what the weights multiply, by `_parts` [n, d, 4]; ratio: melanopic over photopic
+    illuminance of the captures [n, d]. Few captures are pulled towards typical weights.
     """
     rows = (parts / ratio[..., None]).reshape(-1, len(_TYPICAL))
-    size = np.maximum(np.sqrt((rows**2).mean(axis=0)), 1e-3)  # of no use without lamps
+    # rms of what each weight multiplies; the minimum keeps the weight of absent lamps typical
+    size = np.maximum(np.sqrt((rows**2).mean(axis=0)), 1e-3)
     pull = np.sqrt(_PRIOR * ratio.shape[1]) * np.diag(size)
     right = np.concatenate([np.ones(len(rows)), pull @ _TYPICAL])
     weights = np.linalg.lstsq(np.concatenate([rows, pull]), right, rcond=None)[0]
@@ -189,6 +197,7 @@ def _solve(parts: Floats, ratio: Floats) -> tuple[Floats, Floats]:
 
 
 def _without_sun(light: Light) -> Light:
+    """Return the light without direct sun, and without what the sun adds to that of the ground."""
     sky, dark = light.sky, np.zeros(len(light))
     beam = horizontal_beam(sky.direct_lx, light.sun_altitude_deg)
     ground = sky.ground_cdm2 * sky.diffuse_lx / np.maximum(sky.diffuse_lx + beam, MIN_LX)
@@ -206,7 +215,7 @@ def has_colour(pairs: Path) -> bool:
 def year_of_captures(
     pairs: Path, room: ModelRoom, azimuths_deg: Floats, u_camera_rel: Mapping[str, float]
 ) -> MelanopicYear:
-    """Fit the ratio to the pictures of a pairs.csv, in view directions [d].
+    """Fit the ratio of melanopic to photopic light to the pictures of a pairs.csv.
 
     room: of the model, whose pose the pictures have; azimuths_deg: of the directions; u_camera_rel:
     relative standard uncertainty by each part of the camera's calibration. Raises
@@ -247,9 +256,9 @@ ENOUGH_DAYS = tuple(f"mEDI of {limit:.0f} lx or more, days 09:00 to 13:00" for l
 
 @dataclass(frozen=True, slots=True)
 class YearHours:
-    """The n daylight hours of a number of days: `hour` of the day, and `day` from 0, [n] each.
+    """The times of n daylight hours: `hour` of the day, and `day` counted from 0, [n] each.
 
-    Both are of local standard time.
+    Both are of local standard time. days: number of all days, also of those without daylight hours.
     """
 
     hour: Array
@@ -258,7 +267,7 @@ class YearHours:
 
     @classmethod
     def of(cls, t_utc: Sequence[datetime], zone: str, days: int) -> YearHours:
-        """Return the hours of times; zone: IANA name; days: number of days, with dark ones."""
+        """Return the times t_utc [n] as `YearHours`; zone: IANA name of their time zone."""
         local = [standard_time(t, zone) for t in t_utc]
         hour, day = np.array([(t.hour, t.toordinal()) for t in local]).reshape(-1, 2).T
         return cls(hour, day - day.min(initial=day.max(initial=0)), max(days, 1))
@@ -274,10 +283,11 @@ class YearHours:
         enough = edi_lx[(self.hour >= first) & (self.hour < last)] >= BROWN_EDI_LX
         count = {ENOUGH_HOURS: enough.sum(axis=0) / (last - first)}
         rows, first = np.isin(self.hour, range(*WELL_HOURS)), WELL_HOURS[0]
-        at = (self.hour[rows] - first, self.day[rows])  # places in `least` [hours, days, d]
-        least = np.zeros((WELL_HOURS[1] - first, int(at[1].max(initial=0)) + 1, edi_lx.shape[1]))
-        least[at] = edi_lx[rows]
-        days = (least.min(axis=0) >= np.array(WELL_EDI_LX)[:, None, None]).sum(axis=1)
+        by_day = np.zeros(
+            (WELL_HOURS[1] - first, int(self.day.max(initial=0)) + 1, edi_lx.shape[1])
+        )
+        by_day[self.hour[rows] - first, self.day[rows]] = edi_lx[rows]  # [hours, days, d]
+        days = (by_day.min(axis=0) >= np.array(WELL_EDI_LX)[:, None, None]).sum(axis=1)
         count |= dict(zip(ENOUGH_DAYS, days, strict=True))
         has_edi = np.isfinite(edi_lx).any(axis=0)
         return {k: np.where(has_edi, 100.0 * c / self.days, np.nan) for k, c in count.items()}
@@ -286,10 +296,10 @@ class YearHours:
 def edi_budget(
     colours: MelanopicYear, views: Figures, hours: YearHours, azimuths_deg: Floats
 ) -> list[budget.Budget]:
-    """Return the budgets of `YearHours.shares`, for each direction.
+    """Return the uncertainty budgets of `YearHours.shares`, for each of d view directions.
 
-    colours: the fit; views: results of `MelanopicYear.figures` for all hours; azimuths_deg: of the
-    directions. Another year's weather is not in it.
+    views: results of `colours.figures` for all hours; azimuths_deg: the directions [d]. The budgets
+    do not contain that another year has other weather.
     """
     edi, of_map = views["melanopic_edi_lx"], views["edi_of_map_lx"]
     share, of_sun, u_sun = budget.of_share, edi - of_map, melanopic.U_SUN_RATIO

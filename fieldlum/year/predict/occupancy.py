@@ -26,7 +26,7 @@ EXPECTED = (
 
 @dataclass(frozen=True, slots=True)
 class Occupancy:
-    """When the room is used; `text` describes it.
+    """When the room is used; `text` describes it for the reader.
 
     periods: weekday (0 is Monday), start (included) and end (excluded) in local clock time. hourly,
     if set, replaces them: a mask [8760], True if used, from 1 January 00:00 in local standard time,
@@ -47,7 +47,7 @@ class Occupancy:
             return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
         local = [t.astimezone(ZoneInfo(timezone)) for t in times_utc]
         used = [
-            any(day == t.weekday() and a <= t.time() < b for day, a, b in self.periods)
+            any(day == t.weekday() and start <= t.time() < end for day, start, end in self.periods)
             for t in local
         ]
         return np.array(used, bool)
@@ -94,7 +94,10 @@ def _time(cell: str) -> time:
 
 
 def _days(text: str) -> Iterator[int]:
-    """Yield the days of a text such as "mon-fri sun"; raise ValueError for another one."""
+    """Yield the weekdays (0 is Monday) of a text such as "mon-fri sun".
+
+    Raises ValueError for a text that names no weekdays.
+    """
     for part in re.sub(r"\s*[-\u2013]\s*", "-", text.lower()).split():
         first, dash, last = part.partition("-")
         ends = [name for name in (first, last if dash else first) if _DAY.fullmatch(name)]
@@ -105,9 +108,10 @@ def _days(text: str) -> Iterator[int]:
 
 
 def _hourly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]], column: int) -> Occupancy:
-    """Return the occupancy of a csv with 0 or 1 for each hour; rows: (line number, cells).
+    """Return the occupancy of a csv that has 0 or 1 for each of 8760 hours.
 
-    column: index of that with 0 or 1. Raises InputError for other cells or another number of rows.
+    rows: line number and cells of each; column: index of the cell with 0 or 1. Raises InputError
+    for other cells, or another number of rows.
     """
     if len(rows) != 8760:
         raise InputError(path, f"{len(rows)} rows", EXPECTED, "write a row for each hour")
@@ -124,19 +128,18 @@ def occupied_hours(
 ) -> tuple[int, int]:
     """Return the number of occupied hours on the days of a weather file, and the number of days.
 
-    times_utc: middles of the hours with weather; days are dates in local standard time. Occupied
-    hours in the dark count; site: for its time zone and sun. An hour with the sun up but without
-    weather does not count, because it would look like an hour without glare. Raises
-    NotEnoughDataError if no hour counts.
+    times_utc: middles of the hours with weather; days are dates in local standard time at the site.
+    Occupied hours in the dark count. An hour with the sun up but without weather does not count,
+    because it would look like an hour without glare. Raises NotEnoughDataError if no hour counts.
     """
     zone = site.timezone
     days = sorted({standard_date(t, zone) for t in times_utc})
     starts = [standard_midnight(day, zone) for day in days]
     middles = np.array([start + (k + 0.5) * _HOUR for start in starts for k in range(24)])
     with_weather = {(t - starts[0]) // _HOUR for t in times_utc}
-    blank = np.array([(t - starts[0]) // _HOUR not in with_weather for t in middles])
+    no_weather = np.array([(t - starts[0]) // _HOUR not in with_weather for t in middles])
     used = occupancy.at(middles.tolist(), zone)
-    used[blank] &= position(middles[blank].tolist(), site).altitude_deg <= 0.0
+    used[no_weather] &= position(middles[no_weather].tolist(), site).altitude_deg <= 0.0
     if not used.any():
         found = f"the weather file has no values for any occupied hour ({occupancy.text})"
         raise NotEnoughDataError(f"{found} on its {len(days)} days; correct --occupancy")

@@ -52,7 +52,7 @@ from fieldlum.year.predict.occupancy import (
 
 
 class PredictedYear(NamedTuple):
-    """Result of `run`: the year, and whether it was computed now or already existed."""
+    """The result of `run`: a predicted year; new is False if it already existed in the folder."""
 
     annual: Annual
     new: bool
@@ -90,18 +90,19 @@ def run(
     """
     config, session = read_config(model_folder), session_of(model_folder)
     room = hour_blocks.room_of(config, model_folder)
-    for found, there in () if session is None else _differences(session, room, config):
-        expected = f"{there}, as in this session"
+    for of_model, of_session in () if session is None else _differences(session, room, config):
+        expected = f"{of_session}, as in this session"
         remedy = "merge, pair and train again, or use the model that was trained on this session"
-        raise InputError(model_folder, f"a model {found}", expected, remedy)
+        raise InputError(model_folder, f"a model {of_model}", expected, remedy)
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
-    lit = None if not lamps else Occupancy("off") if lamps == "off" else read_occupancy(Path(lamps))
-    coloured = session if session is not None and melanopic.has_colour(session.pairs) else None
+    lit = None
+    if lamps:
+        lit = Occupancy("off") if lamps == "off" else read_occupancy(Path(lamps))
+    pairs = session.pairs if session is not None and melanopic.has_colour(session.pairs) else None
     options = {"views": views, "occupancy": occupancy.text, "maps": maps, "seed": seed}
     options |= {"label_shift_min": label_shift_min, "lamps": lit.text if lit else ""}
-    options["colour"] = coloured is not None
-    inputs = _files(model_folder, weather_path, sky_view) | options
+    inputs = _files(model_folder, weather_path, sky_view) | options | {"colour": pairs is not None}
     if not force and (existing := _already(folder, inputs)) is not None:
         return PredictedYear(existing, new=False)
     check_writable(folder)
@@ -111,26 +112,27 @@ def run(
     light = _daylight(weather, weather_path, lit)
     azimuths = view_azimuths_deg(room.heading_deg, views)
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
-    colours, camera = None, {} if session is None else camera_u_rel(session)
-    if coloured is not None:
-        colours = melanopic.year_of_captures(coloured.pairs, room, azimuths, camera)
+    camera = {} if session is None else camera_u_rel(session)
+    colours = None
+    if pairs is not None:
+        colours = melanopic.year_of_captures(pairs, room, azimuths, camera)
     # an interruption must not leave the hours of one weather file with the classes of another
     (folder / "predict.json").unlink(missing_ok=True)
-    for name in (hour_blocks.NAME, hour_blocks.DRAFT):
+    for name in (hour_blocks.MAPS_FOLDER, hour_blocks.DRAFT_FOLDER):
         shutil.rmtree(folder / name, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)
     store = hour_blocks.begin_maps(folder, len(light), room) if maps else None
     how = {"store": store, "melanopic": colours, "seed": seed, "scheduler": scheduler}
-    found = hour_blocks.predict_figures(model_folder, room, light, azimuths, **how)
-    found.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
+    figures = hour_blocks.predict_figures(model_folder, room, light, azimuths, **how)
+    figures.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
+    figures.hours["trusted"] *= not config.untrusted
     about = _about(room, config, weather, light, azimuths)
-    found.hours["trusted"] *= not config.untrusted
     summary = structs.replace(about, inputs=inputs, days=days)
-    annual = Annual(light.t_utc, azimuths, found.hours, _columns(found), folder, summary)
-    annual, budgets = _judged(annual, found.uncertainty, hours_used, room, camera, seed)
+    annual = Annual(light.t_utc, azimuths, figures.hours, _columns(figures), folder, summary)
+    annual, budgets = _judged(annual, figures.uncertainty, hours_used, room, camera, seed)
     if colours is not None:
         hours = melanopic.YearHours.of(light.t_utc, weather.site.timezone, days)
-        budgets += melanopic.edi_budget(colours, found.views, hours, azimuths)
+        budgets += melanopic.edi_budget(colours, figures.views, hours, azimuths)
     if store:
         hour_blocks.finish_maps(folder, annual, room)
     pictures = report_pictures(load(model_folder), room, light, annual)
@@ -141,9 +143,9 @@ def run(
 def _about(
     room: ModelRoom, config: ModelConfig, weather: Weather, light: Light, azimuths: Floats
 ) -> PredictFile:
-    """Return what predict.json states about model, weather and hours.
+    """Return a predict.json with what is known of model, weather and hours before the prediction.
 
-    azimuths: of the view directions [d] deg.
+    azimuths: the view directions [d], degrees clockwise from north.
     """
     return PredictFile(
         software={"fieldlum": __version__},
@@ -162,11 +164,14 @@ def _about(
     )
 
 
-def _columns(found: HourFigures) -> dict[str, np.ndarray]:
-    """Return the figures that hourly.csv has for each direction."""
-    empty = {name: np.full(found.uncertainty.u_maps.shape, np.nan) for name in COLOUR_COLUMNS}
+def _columns(figures: HourFigures) -> dict[str, np.ndarray]:
+    """Return the figures of views that hourly.csv has, by column, [n, d] each.
+
+    Melanopic columns without colour are NaN.
+    """
+    empty = {name: np.full(figures.uncertainty.u_maps.shape, np.nan) for name in COLOUR_COLUMNS}
     columns = {*VIEW_COLUMNS, *(name for name, metric in METRICS.items() if metric.in_year)}
-    return {name: v for name, v in (empty | found.views).items() if name in columns}
+    return {name: values for name, values in (empty | figures.views).items() if name in columns}
 
 
 def _judged(
@@ -179,8 +184,8 @@ def _judged(
 ) -> tuple[Annual, list[budget.Budget]]:
     """Return the year with the classes of its directions, and the budgets of their exceeded DGP.
 
-    uncertainty: of DGP in all hours; hours_used: number of occupied hours, lit and dark ones; room:
-    of the model; camera: result of `camera_u_rel`; seed: of the draws of errors.
+    uncertainty: that of DGP in all hours; hours_used: number of occupied hours, lit and dark ones;
+    room: that of the model; camera: result of `camera_u_rel`; seed: for the random draws of errors.
     """
     used, azimuths, summary = annual.occupied, annual.azimuths_deg, annual.summary
     dgp, ev_lx, u = annual.views["dgp"][used], annual.views["ev_lx"][used], uncertainty.hours(used)
@@ -205,6 +210,7 @@ def _judged(
 
 
 def _write(annual: Annual, budgets: list[budget.Budget], pictures: Pictures, zone: str) -> None:
+    """Write all files of a year but its maps into its folder; zone: of the local times, IANA."""
     folder = annual.folder
     annual.write(folder, zone)
     write_pictures(folder / "pictures.npz", pictures)
@@ -237,7 +243,11 @@ def light_of(weather: Weather) -> Light:
 
 
 def _daylight(weather: Weather, path: Path, lamps: Occupancy | None) -> Light:
-    """Return the light of the hours with the sun up; lamps: when they are on, None as captured."""
+    """Return the light of the hours in which the sun is up.
+
+    path: the weather file, for the error; lamps: when lamps are on, None for as in the captures.
+    Raises NotEnoughDataError if there is no such hour.
+    """
     hours = weather.daylight()
     if len(hours) == 0:
         remedy = "check the file's irradiance and time zone"
@@ -272,10 +282,10 @@ def report_hours(annual: Annual) -> Iterator[tuple[str, int]]:
 
 
 def report_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
-    """Return the maps of `report_hours`, in that order, predicted again.
+    """Predict the maps of `report_hours` again, and return them in that order.
 
-    The maps are not stored before, because all maps of a year would need a gigabyte of memory.
-    fitted, room: the model; light, annual: the hours and their results.
+    They are predicted again because all maps of a year would need a gigabyte of memory. fitted,
+    room: the model and its room; light, annual: the light of all hours, and their results.
     """
     kinds, hours = [list(part) for part in zip(*report_hours(annual), strict=True)] or ([], [])
     rows, at = np.unique(np.array(hours, np.int64), return_inverse=True)
@@ -311,7 +321,7 @@ def default_folder(model_folder: Path) -> Path:
 def _differences(
     session: Session, room: ModelRoom, config: ModelConfig
 ) -> Iterator[tuple[str, str]]:
-    """Yield what a model states and what its session has, for each difference.
+    """Yield a text on the model and one on its session, for each difference between them.
 
     The place may differ by 0.01 degrees, the heading of the first panorama by 0.1 degrees; its size
     in pixels must be equal. With a fitted scene in the model's config.json, the room and heading as
@@ -364,7 +374,8 @@ def is_model_outdated(session: Session, config: ModelConfig, view: SkyView | Non
 def is_current(session: Session, annual: Annual) -> bool:
     """Return whether a year's model is the present one, and is of the session as it is now.
 
-    It is also True if the session does not have the model any more: then nothing can be compared.
+    It is also True if the session does not have the model any more, because then nothing can be
+    compared.
     """
     used = annual.summary.inputs
     folder = session.models / str(used["model"])
@@ -399,7 +410,7 @@ def _files(model: Path, weather: Path, sky_view: Path | None) -> dict[str, objec
 
 
 def _already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
-    """Return the year in `folder` if the same version computed it from the same inputs, else None.
+    """Return the year in `folder` if this version computed it from the same inputs, else None.
 
     A damaged year counts as missing. A stored year with maps also answers a request without maps.
     """
@@ -408,7 +419,7 @@ def _already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
     table = table or (None if needs_maps else current_note(note, inputs, files))
     same = table is not None and table.get("software", {}).get("fieldlum") == __version__
     with suppress(InputError):
-        if same and ((folder / hour_blocks.NAME).is_dir() or not needs_maps):
+        if same and ((folder / hour_blocks.MAPS_FOLDER).is_dir() or not needs_maps):
             return read_annual(folder)
     return None
 
@@ -430,9 +441,9 @@ _UNSEEN_NOTES = {
 def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, Mask]:
     """Return the lit occupied hours with an untrusted map, and the others with a wide interval.
 
-    An interval of DGP is wide if its 95 % are wider than 0.2 in a direction that was fully seen
-    (`_unseen_notes` has the others); if none was, in any that is judged. Masks over all hours of
-    `annual`, [n].
+    Both are masks over all hours of `annual`, [n]. rows: the protection in each direction. An
+    interval is wide if the 95 % interval of DGP is wider than 0.2 in a direction that was fully
+    seen; if none was, in any direction that has figures.
     """
     untrusted = annual.occupied & (annual.hours["trusted"] < 1)
     full = [row.seen == projection.SEEN for row in rows]
@@ -443,9 +454,9 @@ def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, M
 
 
 def are_full_years(days: int) -> bool:
-    """Return whether the days of a weather file are those of full years, of which five may lack.
+    """Return whether a number of days is that of full years, of which up to five days may lack.
 
-    A half year more would weigh its season twice in the classes.
+    With half a year more, its season would count twice in the classes.
     """
     return days > 300 and (days + 6) % 365.25 < 12.0
 
@@ -453,9 +464,10 @@ def are_full_years(days: int) -> bool:
 def _notes(
     summary: PredictFile, room: ModelRoom, budgets: Sequence[budget.Budget]
 ) -> Iterator[str]:
-    """Yield what a reader of the year must know; summary: with its occupancy and protection.
+    """Yield the notes and warnings that a reader of the predicted year needs.
 
-    room: of the model; budgets: of the exceeded DGP.
+    summary: of the year, with occupancy and protection; room: that of the model; budgets: of the
+    exceeded DGP.
     """
     occupancy, untrusted = summary.occupancy, summary.occupancy.untrusted_share
     yield (
@@ -485,8 +497,8 @@ def _notes(
             "calibration (budget.csv): fieldlum calibrate makes them smaller"
         )
     for word, meaning in _UNSEEN_NOTES.items():
-        if of := [row.azimuth_deg for row in summary.protection if row.seen == word]:
-            named = ", ".join(f"{a:.0f}° ({projection.compass_name(a)})" for a in of)
+        if azimuths := [row.azimuth_deg for row in summary.protection if row.seen == word]:
+            named = ", ".join(f"{a:.0f}° ({projection.compass_name(a)})" for a in azimuths)
             yield f"the view directions {named} {meaning}"
 
 
@@ -502,9 +514,11 @@ def best_and_worst(rows: Sequence[DirectionYear]) -> tuple[DirectionYear, Direct
         return None
 
     def glare(row: DirectionYear) -> tuple[float, int]:
+        """Return the exceeded DGP of a direction, and its number of hours above the limits."""
         return row.dgp_exceeded or 0.0, sum(count or 0 for count in row.hours_over.values())
 
     def as_best(row: DirectionYear) -> tuple[float, int]:
+        """Return `glare`; for a direction that was not fully seen with the end of its interval."""
         upper = 1.0 if row.high is None else row.high
         return glare(row) if row.seen == projection.SEEN else (upper, glare(row)[1])
 
