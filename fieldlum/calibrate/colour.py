@@ -23,10 +23,12 @@ from fieldlum.optics import melanopic
 from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz
 from fieldlum.optics.profiles import CameraProfile, Colour
 
-# Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
+# Weights of the prior relative to one reading, from strong to weak, of which held-out readings
+# select one.
 PULLS = (np.inf, 1.0, 0.1, 0.01)
 MIN_READINGS = 4  # three coefficients, and one reading to hold out
-# Stated corners in another order leave a misfit of 0.5 and more; uneven light up to 0.2. Chosen.
+# Corners that are stated in another order leave a misfit of 0.5 and more, uneven light up to 0.2.
+# Chosen between.
 _MAX_MISFIT = 0.4
 _WEIGHTS = Path(__file__).with_name("melanopic_weights.csv")
 _SPECTRUM = re.compile(r"Spectral Values \((\d+) nm - (\d+) nm\)\s*;(.*)")
@@ -38,7 +40,7 @@ class Colours:
     """Camera colours and luminances of n readings.
 
     rgb [n, 3] : linear camera colours, corrected for vignetting, in cd/m2 at the profile's k; y [n]
-    : luminances of the same places by a meter [cd/m2], or by the chart [%]; u_rel [n] : relative
+    : luminances Y of the same places by a meter [cd/m2], or by the chart [%]; u_rel [n] : relative
     uncertainty of the comparison; places [n] : where they are; matrix [3, 3] : XYZ to camera
     colours, None if the frames do not state it. melanopic [n] : melanopic equivalent daylight
     luminances by a spectrometer [cd/m2], or None. of_chart : the places are a chart's patches.
@@ -54,7 +56,7 @@ class Colours:
 
 
 class ColourFit(NamedTuple):
-    """Fitted coefficients, their relative uncertainty, and relative residuals of the readings.
+    """Fitted coefficients from camera colours to luminance, with uncertainty and residuals.
 
     y_from_rgb : weights of R, G, B in the luminance. scale : luminance of the readings over that by
     y_from_rgb, a factor on k that y_from_rgb does not contain. residual [n] : luminance by camera,
@@ -106,12 +108,14 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
 def read_spectrum(path: Path) -> tuple[float, float]:
     """Return luminance and melanopic equivalent daylight luminance by a JETI spectrometer's file.
 
-    Each line has `Spectral Values (380 nm - 1000 nm)`, then the values between semicolons, of
-    radiance [W/(m2 sr nm)]; the result [cd/m2] is the mean of the lines. Irradiance gives lx.
-    Raises InputError for a file without a spectrum, or with an incomplete one.
+    Both are in cd/m2. Each line has `Spectral Values (380 nm - 1000 nm)`, then the values between
+    semicolons, of radiance [W/(m2 sr nm)]; the result [cd/m2] is the mean of the lines. Irradiance
+    gives lx. Raises InputError for a file without a spectrum, or with an incomplete one.
     """
+    # wavelength, luminous efficiency V, melanopic sensitivity; the factors are those of CIE S
+    # 026:2018: 683.002 lm/W, and 1.3262 mW/lm of daylight D65
     nm, v, s_mel = np.loadtxt(_WEIGHTS, delimiter=",").T
-    weights = np.stack([683.002 * v, s_mel / 1.3262e-3]) * (nm[1] - nm[0])  # CIE S 026:2018
+    weights = np.stack([683.002 * v, s_mel / 1.3262e-3]) * (nm[1] - nm[0])
     figures = []
     expected = "lines with 'Spectral Values (380 nm - 1000 nm);' and a number for each 1 or 5 nm"
     remedy = "export it again from JETI LiVal"
@@ -135,7 +139,11 @@ def read_spectrum(path: Path) -> tuple[float, float]:
 def _patch(
     frame: fit_steps.LinearFrame, at: Place, radius_px: float, u_rel: float, profile: CameraProfile
 ) -> tuple[Floats, float]:
-    """Return the colour [3] of a patch without vignetting, and the relative u of its comparison."""
+    """Return the colour [3] of a patch, corrected for vignetting, and the relative u of a reading.
+
+    radius_px : of the patch around `at`; u_rel : of the meter's reading or the chart's patch. The
+    result's u also has that of the patch in the frame.
+    """
     rgb, u_patch = frame.patch(at.x, at.y, radius_px)
     transmission = fit_steps.transmission(profile, frame.exposure.f_number, at.x, at.y)
     return rgb / transmission, float(np.hypot(u_rel, u_patch))
@@ -170,7 +178,7 @@ def from_chart(
 
 
 def _priors(colours: Colours, profile: CameraProfile) -> dict[str, Floats]:
-    """Return the coefficients [3] of R, G, B from which the fit may start, by a name.
+    """Return the coefficients [3] of R, G, B in luminance towards which a fit may pull, by name.
 
     These are the profile's y_from_rgb and, if the frames state a colour matrix, the Y row of its
     inverse (camera to XYZ), scaled to give the mean colour of the readings the same luminance.
@@ -232,6 +240,7 @@ def _without_outliers(colours: Colours, priors: Sequence[Floats]) -> tuple[Colou
     """
     ratios = [colours.rgb @ prior / colours.y for prior in priors]
     offs = [np.log(np.where(ratio > 0.0, ratio, np.median(ratio))) for ratio in ratios]
+    # of the prior with the smallest deviations from its median
     off = min((o - np.median(o) for o in offs), key=lambda o: float(np.median(np.abs(o))))
     far = fit_steps.gross_errors(off, 0.5)  # ln of luminance: further away is a wrong factor
     if not far.any() or (~far).sum() < MIN_READINGS:
@@ -246,10 +255,11 @@ def _without_outliers(colours: Colours, priors: Sequence[Floats]) -> tuple[Colou
 
 
 def _solve(colours: Colours, prior: Floats, pull: float, rows: Mask) -> Floats:
-    """Return the coefficients a that minimise the ridge sum.
+    """Return the coefficients a [3] of R, G, B by ridge regression of the readings `rows`.
 
-    The sum is sum ((a . rgb / y - 1) / u)^2 + n pull / u^2 |share * (a - s prior)|^2, where s is
-    the prior's own best scale. With an infinite pull the result is s * prior.
+    They minimise sum ((a . rgb / y - 1) / u)^2 + n pull / u^2 |share * (a - s prior)|^2, where n is
+    the number of readings, share the mean part of each colour in the luminance, and s the scale
+    with which the prior fits best. With an infinite pull the result is s * prior.
     """
     u = colours.u_rel[rows]
     relative = colours.rgb[rows] / colours.y[rows][:, None]
@@ -294,9 +304,10 @@ def chart_xyz(cct_k: float = 6500.0) -> Floats:
 
 
 def daylight_parts(cct_k: float) -> Floats:
-    """Return the weights of S0, S1 and S2 in CIE daylight of a correlated colour temperature, [3].
+    """Return the weights of the CIE's components S0, S1 and S2 of daylight, [3].
 
-    Raises ValueError for a colour temperature outside 4000 to 25 000 K. cct_k: the temperature.
+    cct_k: correlated colour temperature of the daylight [K]. Raises ValueError for one outside 4000
+    to 25 000 K.
     """
     if not 4000.0 <= cct_k <= 25_000.0:
         raise ValueError(f"{cct_k:g} K: CIE daylight is defined from 4000 to 25 000 K")
@@ -312,9 +323,10 @@ def xyz_from_matrix(
 ) -> Floats:
     """Return the matrix from camera colours to X, Y, Z by the colour matrix of a raw file, [3, 3].
 
-    matrix : XYZ to camera colours. grey [3] : a camera colour that gets the luminance by
-    y_from_rgb; Y is that of y_from_rgb. cct_k : of the daylight on a grey surface of that colour;
-    the camera's channels then get its gains, as DNG's CameraCalibration does. None: not grey.
+    matrix : XYZ to camera colours. y_from_rgb : becomes the row of Y. grey [3] : the camera colour
+    whose luminance by the colour matrix is scaled to that by y_from_rgb. cct_k : correlated colour
+    temperature of the daylight if `grey` is the colour of a grey surface in it: the channels then
+    get the gains that make it grey, as DNG's CameraCalibration does; None for another colour.
     Raises ValueError if a gain differs from the green one by over a half.
     """
     inverse = np.linalg.inv(matrix)
@@ -337,7 +349,7 @@ def with_melanopic(
     cct_k: float | None,
     clear_glass: bool = False,
 ) -> tuple[Colour, str]:
-    """Return the profile's table with colours and a melanopic weight, and a line on their origin.
+    """Return the profile's colours with a melanopic weight, and a line on where they are from.
 
     colour : with the fitted y_from_rgb and its u. scale : of that fit. cct_k : correlated colour
     temperature of the daylight on a chart, or on the grey first reading, None if unknown.
@@ -409,7 +421,7 @@ def misfit(rgb: Floats) -> float:
 
 
 def patch_centres(corners: Floats) -> tuple[Array, float]:
-    """Return the centres of a chart's patches, x and y [24, 2] px, and a radius within each [px].
+    """Return the centres of a chart's patches, x and y [24, 2] px, and the radius to average [px].
 
     corners : x and y [4, 2] px of the outer corners of the field of patches, clockwise from the
     corner at the dark skin patch. Centres are row by row from that patch.
@@ -441,15 +453,17 @@ def find_chart(frame: fit_steps.LinearFrame) -> Floats:
     else:
         detector.process(picture, kind, 3)
     boxes = [np.asarray(chart.getBox(), float) for chart in detector.getListColorChecker()]
+    # each box may begin at any of its four corners
     ways = [np.roll(box, turn, axis=0) * frame.step / shrink for box in boxes for turn in range(4)]
 
-    def off(corners: Floats) -> float:
+    def misfit_of(corners: Floats) -> float:
+        """Return the misfit of a chart with these corners; infinite if a patch is unusable."""
         with suppress(InputError):  # a patch outside the picture, or clipped
             centres, radius_px = patch_centres(corners)
             return misfit(np.array([frame.patch(x, y, radius_px)[0] for x, y in centres.tolist()]))
         return np.inf
 
-    misfits = list(map(off, ways))
+    misfits = list(map(misfit_of, ways))
     if min(misfits, default=np.inf) > _MAX_MISFIT:
         remedy = "state the chart's corners with --corners"
         raise InputError(frame.path, "no colour chart found", "a 24-patch chart", remedy)
@@ -457,7 +471,7 @@ def find_chart(frame: fit_steps.LinearFrame) -> Floats:
 
 
 def chart(colours: Colours, fit: ColourFit) -> Chart:
-    """Return a chart of the readings of the patches, and the fitted luminance."""
+    """Return a chart of the readings of the patches, and of their luminance by the fit."""
     new = colours.rgb @ np.array(fit.y_from_rgb) * fit.scale
     title = f"colour to luminance; held-out rms {100 * fit.u_rel:.2g} %"
     y = ("reading, or chart [%]", colours.y)

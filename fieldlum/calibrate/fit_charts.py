@@ -34,15 +34,15 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """What a fit shows: readings and fitted values over x, residuals, and where they were taken.
+    """The content of a figure of a fit to n readings: curves, residuals, and places on a picture.
 
-    x, y : label and values [n], y of the readings; fitted [n] : y by the fit; off [n] : reading
-    less fit, a share; places [n] : of the readings, empty without any. Without x the readings are
-    numbered; without y only the places are drawn.
+    residual_rel [n] : reading over fit minus 1; places [n] : where the readings were taken, empty
+    if unknown; x, y : label and values [n] of the axes, y those of the readings; fitted [n] : y by
+    the fit. Without x the readings are numbered; without y only the places are drawn.
     """
 
     title: str
-    off: Array
+    residual_rel: Array
     places: Sequence[Place] = ()
     x: tuple[str, Array] = ("", np.empty(0))
     y: tuple[str, Array] = ("", np.empty(0))
@@ -51,15 +51,15 @@ class Chart:
 
 def draw(chart: Chart, path: Path) -> None:
     """Write a chart as PNG, SVG or PDF, by suffix; the file appears complete or not at all."""
-    curves, has_places = 2 * bool(chart.y[0]), len(chart.places) > 0
-    count = max(curves + has_places, 1)
-    figure = new_figure(4.2 * count, 3.4)
-    every = figure.subplots(1, count, squeeze=False)[0]
+    has_curves, has_places = bool(chart.y[0]), len(chart.places) > 0
+    columns = max(2 * has_curves + has_places, 1)
+    figure = new_figure(4.2 * columns, 3.4)
+    axes = figure.subplots(1, columns, squeeze=False)[0]
     figure.suptitle(chart.title, x=0.01, ha="left", fontsize=10, color=INK)
-    if curves:
-        _draw_curves(chart, *every[:2])
+    if has_curves:
+        _draw_curves(chart, *axes[:2])
     if has_places:
-        _draw_places(chart, figure, every[-1])
+        _draw_places(chart, figure, axes[-1])
     with replacing_path(path) as temporary:
         figure.savefig(temporary, dpi=110)
 
@@ -74,7 +74,7 @@ def _draw_curves(chart: Chart, left: Any, right: Any) -> None:
     xscale = "log" if label.endswith("[s]") else "linear"
     wide = y.min() > 0 and y.max() > 30 * y.min()
     left.set(xscale=xscale, yscale="log" if wide else "linear", xlabel=label, ylabel=y_label)
-    right.plot(x, 100 * chart.off, "o", color=RED, **shown)
+    right.plot(x, 100 * chart.residual_rel, "o", color=RED, **shown)
     right.axhline(0.0, color=BLUE, linewidth=1.2)
     right.set(xscale=xscale, xlabel=label, ylabel="reading less fit [%]")
     for axes in (left, right):
@@ -90,14 +90,15 @@ def _draw_places(chart: Chart, figure: Figure, axes: Any) -> None:
     path = Counter(place.path for place in chart.places).most_common(1)[0][0]
     is_panorama = path.suffix.lower() in (".exr", ".hdr")
     shown = np.array([place.path == path or not is_panorama for place in chart.places])
+    # x, y [k, 2] in pixels of the frame; of a panorama first azimuth and altitude in degrees
     at = np.array([place[1:] for place in chart.places], float)[shown]
-    percent = 100 * np.asarray(chart.off)[shown]
+    percent = 100 * np.asarray(chart.residual_rel)[shown]
     if is_panorama:
         panorama = read_panorama(path)
         light = np.nan_to_num(panorama.luminance_cdm2)
         grey = np.log(np.maximum(light, 1e-3 * float(np.percentile(light, 99))))
-        h, w = grey.shape
-        row, column = equirect_pixel(at[:, 1], at[:, 0], h, w, panorama.heading_deg)
+        height, width = grey.shape
+        row, column = equirect_pixel(at[:, 1], at[:, 0], height, width, panorama.heading_deg)
         at = np.stack([column, row], axis=1)
     else:
         grey = grey_picture(path)

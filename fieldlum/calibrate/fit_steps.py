@@ -1,6 +1,7 @@
-"""Steps that several fits share: read frames, tables and panoramas, choose a model, write profiles.
+"""Provide the steps that several fits share.
 
-The chosen model is the smallest within one standard error of the best; gross errors are left out.
+They choose a model (the smallest within one standard error of the best), find gross errors, read
+tables, frames and panoramas, and write profiles.
 """
 
 import math
@@ -24,7 +25,7 @@ from fieldlum.optics import linear_light
 from fieldlum.optics.camera_curves import linearity_factor, vignetting_at
 from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.linear_light import saturation_plateau
-from fieldlum.optics.profiles import CameraProfile, Lens, Provenance, save_profile
+from fieldlum.optics.profiles import CameraProfile, Lens, save_profile
 from fieldlum.optics.projection import angle_of_radius, direction, equirect_rays, relative_radius
 from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, read_jpeg, read_mosaic
 from fieldlum.session import sha256
@@ -37,10 +38,10 @@ Parameters = TypeVar("Parameters")
 
 @dataclass(frozen=True, slots=True)
 class OrderSelection:
-    """The index of the chosen candidate, from 0, and a line for the profile with the reason.
+    """The candidate that held-out data chose, and a line for the profile with the reason.
 
-    index: of the candidate; rms: its held-out rms; line: lists all candidates, and states why this
-    one was chosen.
+    index: of the candidate, from 0; rms: its held-out rms; line: lists all candidates, and states
+    why this one was chosen.
     """
 
     index: int
@@ -68,7 +69,7 @@ def choose(
     alike = [is_no_worse(e, errors[best]) for e in errors] | (rms - rms[best] <= negligible)
     chosen = int(min(np.flatnonzero(alike), key=lambda i: (sizes[i], rms[i])))
     shown = 100.0 * rms if unit == "%" else rms
-    tried = ", ".join(f"{n} {r:.3g} {unit}" for n, r in zip(names, shown, strict=True))
+    tried = ", ".join(f"{name} {r:.3g} {unit}" for name, r in zip(names, shown, strict=True))
     smaller = f"smaller than the best, {names[best]}, and not significantly worse"
     why = "the best" if chosen == best else smaller
     line = f"{what}: {names[chosen]} ({why}); held-out rms: {tried}"
@@ -104,7 +105,7 @@ def fit_and_choose(
 
 
 def folds(groups: NDArray[np.integer]) -> Iterator[Mask]:
-    """Return masks [n], one for each fit of a cross-validation, True for the data to hold out.
+    """Yield a mask [n] for each fit of a cross-validation, True for the data to hold out.
 
     groups [n] : number of each datum's group, see `held_out_masks`. With up to 24 groups each is
     held out alone; with more, they are divided into eight sets.
@@ -114,7 +115,7 @@ def folds(groups: NDArray[np.integer]) -> Iterator[Mask]:
 
 
 def gross_errors(off: Floats, minimum: float) -> Mask:
-    """Return a mask [n] of the residuals that are gross errors of single readings.
+    """Return a mask [n], True for the residuals that are gross errors of single readings.
 
     off [n] : residuals about 0. A gross error exceeds `minimum` and five robust standard
     deviations. All are False if more than a quarter would be True, because the model is then wrong
@@ -124,26 +125,27 @@ def gross_errors(off: Floats, minimum: float) -> Mask:
     return far if far.mean() <= 0.25 else np.zeros(len(off), bool)
 
 
-FULL = 0.97  # of the saturation; brighter pixels do not count. Chosen, not measured.
+# Share of the saturation above which pixels do not count. Chosen, not measured.
+CLIPPED_SHARE = 0.97
 # Relative u of a luminance meter's calibration, and of one reading (aim, flicker, a passing cloud)
 # if none is stated; typical of data sheets.
 READING_U = 0.02
 SPOT_DEG = 0.5  # half of the field of a spot meter of 1 degree; data sheets of spot meters
 CsvRow = dict[str, Any]
-"""The cells of a line by column: numbers and paths."""
+"""The cells of a line of a csv by column: numbers, and paths of files."""
 
 
 def require(count: int, minimum: int, what: str, remedy: str) -> None:
-    """Raise NotEnoughDataError if `count` of something is below `minimum`.
+    """Raise NotEnoughDataError if `count` is below `minimum`.
 
-    what : its plural; remedy : what the user can do.
+    what : what is counted, in the plural; remedy : what the user can do.
     """
     if count < minimum:
         raise NotEnoughDataError(f"{what}: {count}; expected at least {minimum}; {remedy}")
 
 
 def require_raw(profile: CameraProfile, remedy: str) -> None:
-    """Raise InputError, with the `remedy`, for a profile of a JPEG camera."""
+    """Raise InputError for a profile of a JPEG camera; remedy : what the user can do."""
     if profile.camera.kind != "raw":
         raise InputError(profile.camera.name, "a JPEG camera", "a raw camera", remedy)
 
@@ -172,12 +174,12 @@ def read_table(
     wrong += [f"unknown column {name}" for name in table.names if name not in names]
     if wrong:
         raise InputError(path, wrong[0], f"columns {', '.join(names)}", "correct the first line")
-    readings = []
-    # In a file with decimal commas a point separates thousands, which is refused.
     rows = table.dicts()
     numbers = [text for _, cells in rows for name, text in cells.items() if name not in _PATHS]
-    points = sum(("." in text) - ("," in text) for text in numbers)
-    commas = table.separator != "," and points <= 0
+    more_points = sum(("." in text) - ("," in text) for text in numbers)
+    # In a file with decimal commas a point separates thousands, which is refused.
+    commas = table.separator != "," and more_points <= 0
+    readings = []
     for line, cells in rows:
         row = {name: _cell(path, line, name, text, commas) for name, text in cells.items() if text}
         if empty := [name for name in required if name not in row]:
@@ -191,15 +193,15 @@ def read_table(
 
 
 def columns(rows: Sequence[CsvRow], *names: str) -> Floats:
-    """Return columns of numbers of a table, [names, rows]."""
+    """Return the named columns of the rows of a table as numbers, [names, rows]."""
     return np.array([[row[name] for row in rows] for name in names], float)
 
 
 def refuse_beyond_lens(widest_deg: float, lens: Lens, source: Path | str) -> None:
-    """Raise InputError if the widest angle from the axis is impossible for the lens.
+    """Raise InputError if the angle widest_deg from the axis is impossible for the lens.
 
-    source : of the angle. Data sheets round full angles, so that true readings are up to 5 % beyond
-    half of them. widest_deg: the angle.
+    It may exceed half of full_angle_deg by 5 %, because data sheets round full angles. source : the
+    file with the angle, for the error.
     """
     half_deg = lens.full_angle_deg / 2
     if widest_deg > 1.05 * half_deg:
@@ -215,16 +217,17 @@ def columns_of(path: Path) -> tuple[str, ...]:
 
 
 def _table(path: Path) -> strict_csv.CsvTable:
-    """Return a csv; many spreadsheets write semicolons."""
+    """Read a csv of readings. Raises InputError if the file cannot be read."""
     remedy = "name the columns in its first line"
+    # many spreadsheets write semicolons
     return strict_csv.read_table(path, "a csv of readings", remedy, separators=",;\t")
 
 
 def _cell(path: Path, line: int, name: str, text: str, has_commas: bool) -> Any:
     """Return the value of a cell of a csv: a path for the columns `_PATHS`, else a number.
 
-    line: for the error; name: of the column; has_commas: whether the file has decimal commas.
-    Raises InputError for a text that is no number.
+    line: number of the line, for the error; name: of the column; has_commas: whether the file has
+    decimal commas. Raises InputError for a text that is no finite number.
     """
     if name in _PATHS:
         return path.parent / text
@@ -243,12 +246,12 @@ def _cell(path: Path, line: int, name: str, text: str, has_commas: bool) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class LinearFrame:
-    """Camera colours [h, w, 3] in cd/m2 at the profile's k, not corrected for vignetting.
+    """A frame as linear camera colours, not corrected for vignetting or for a filter.
 
-    rgb [h, w, 3]; bad [h, w] : True for pixels not to use: above 0.97 of the saturation, or outside
-    the codes for which a JPEG's response is valid; step : sensor pixels along the edge of a pixel
-    of rgb, 2 for raw and 1 for JPEG; colour_matrix : XYZ to camera colours [3, 3] as stored in a
-    raw file, else None. A filter in front of the lens is not corrected.
+    rgb [h, w, 3] : in cd/m2 at the profile's k; bad [h, w] : True for pixels not to use: above 0.97
+    of the saturation, or outside the codes for which a JPEG's response is valid; step : sensor
+    pixels along the edge of a pixel of rgb, 2 for raw and 1 for JPEG; colour_matrix : XYZ to camera
+    colours [3, 3] as stored in a raw file, else None.
     """
 
     path: Path
@@ -259,12 +262,12 @@ class LinearFrame:
     colour_matrix: Floats | None = None
 
     def patch(self, x_px: float, y_px: float, radius_px: float) -> tuple[Floats, float]:
-        """Return the mean colour [3] of the good pixels in a disc around x_px, y_px, and its u.
+        """Return the mean colour [3] of a disc around x_px, y_px, and the relative u of its green.
 
-        u is the relative standard uncertainty of green. The tenth of the pixels with the smallest
-        and the tenth with the largest values do not count. x_px, y_px, radius_px: in sensor pixels.
-        Raises InputError for a disc that is not completely in the picture, or if over a fifth of
-        its pixels are bad.
+        u is a standard uncertainty. Bad pixels do not count. The tenth of the pixels with the
+        smallest and the tenth with the largest values do not count. x_px, y_px, radius_px: in
+        sensor pixels. Raises InputError for a disc that is not completely in the picture, or if
+        over a fifth of its pixels are bad.
         """
         from scipy.stats import trim_mean
 
@@ -293,12 +296,12 @@ def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
     """
     if not is_jpeg(path):
         return _from_mosaic(path, profile)
-    frame, r = read_jpeg(path, camera_pixels=profile.camera.pixels), profile.response
+    frame, response = read_jpeg(path, camera_pixels=profile.camera.pixels), profile.response
     linear_light.check_frame(path, frame.codes.shape, frame.model, profile)
     tables = linear_light.response_tables(profile)  # [256, 3]
     z = np.stack([tables[frame.codes[..., c], c] for c in range(3)], axis=-1)
     brightest = frame.codes.max(axis=-1)
-    bad = (brightest > r.high_code) | (brightest < r.low_code)
+    bad = (brightest > response.high_code) | (brightest < response.low_code)
     rgb = z / linear_light.frame_z_per_cdm2(frame.exposure, profile)
     return LinearFrame(path, rgb.astype(np.float32), bad, 1, frame.exposure)
 
@@ -322,7 +325,7 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
     shares = []
     for plane, black, top in zip(planes, linear_light.black_dn(mosaic, profile), full, strict=True):
         cell = plane.astype(np.float32)
-        bad |= cell > FULL * top
+        bad |= cell > CLIPPED_SHARE * top
         share = (cell - black) / np.float32(profile.sensor.white_dn - black)
         shares.append(share * linearity_factor(share, profile.sensor.linearity))
     z = np.stack([shares[0], (shares[1] + shares[2]) / 2, shares[3]], axis=-1)
@@ -331,9 +334,9 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
 
 
 def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
-    """Return the index of the lens in whose image circle a place on the sensor is most central.
+    """Return the index of the lens whose image circle has its centre nearest to a sensor place.
 
-    The distance from the centre counts relative to the circle's radius.
+    Distances are relative to the circle's radius. x_px, y_px : the place on the sensor.
     """
     return int(np.argmin([relative_radius(lens, x_px, y_px) for lens in profile.lens]))
 
@@ -347,9 +350,9 @@ def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
 
 
 def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: float) -> float:
-    """Return the transmission relative to the axis of the nearest lens, at a place on the sensor.
+    """Return the transmission of the nearest lens at a place on the sensor, relative to its axis.
 
-    f_number : of the frame; x_px, y_px : on the sensor. A value divided by it is corrected for
+    f_number : of the frame; x_px, y_px : the place. A value divided by it is corrected for
     vignetting. It is 1 if the lens has no curve. Raises InputError if the lens only has curves for
     other apertures.
     """
@@ -365,10 +368,10 @@ def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: flo
 def read_panoramas(
     rows: Sequence[CsvRow], profile: CameraProfile, remedy: str = ""
 ) -> dict[Path, Panorama]:
-    """Return the panoramas of a table, by file.
+    """Return the panoramas that the rows of a table name, by file.
 
-    remedy : what else to do before merging again. Raises InputError for a panorama that was merged
-    with another calibration than the profile's. rows: of the table.
+    remedy : what else to do when merging again, for the error. Raises InputError for a panorama
+    that was merged with another calibration than the profile's.
     """
     own, pictures = calibration_mark(profile)["calibration"], {}
     for file in dict.fromkeys(row["panorama"] for row in rows):
@@ -418,8 +421,8 @@ def save_calibration(
     `today`; the camera's date becomes `today`.
     """
     hashes, before = sorted({sha256(path) for path in frames}), profile.provenance
-    provenance = Provenance(
-        source=before.source,
+    provenance = replace(
+        before,
         fitted_by=f"fieldlum {__version__} calibrate",
         frames_sha256=tuple(dict.fromkeys((*before.frames_sha256, *hashes))),
         log=(*before.log, *(f"{today.isoformat()} {line}" for line in lines)),

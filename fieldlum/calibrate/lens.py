@@ -35,6 +35,7 @@ MAX_MISS = 0.01
 _WANTED = "x right and y down in pixels, azimuth clockwise from the camera's heading, altitude up"
 
 Model = tuple[str, tuple[int, ...]]  # the mapping, and the powers of a polynomial
+_POSE = ("azimuth_deg", "tilt_deg", "roll_deg")  # fields of a lens
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,45 +91,47 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     mirrored, outside the lens's full angle, or fit no lens.
     """
     n = len(targets.x_px)
-    # the parameters of a lens with one free term, and its pose
+    # one more than the parameters of a lens with one free term: centre, radius, pose and the term
     fit_steps.require(n, 8, "targets for a lens", "add targets all over the circle to the csv")
     start = _with_fitted_pose(targets, lens)
-    # three targets a parameter
+    # three targets for each parameter: centre, radius, pose, and all powers but the first
     models = {name: m for name, m in MODELS.items() if not m[1] or n >= 3 * (len(m[1]) + 5)}
 
     def solved(model: Model, rows: Mask) -> Lens:
+        """Return the lens of a model that fits the targets of the mask `rows` best."""
         at = (targets.x_px[rows], targets.y_px[rows])
         return _solve(start, model, *at, lambda _: targets.rays[rows], pose=True)[0]
 
     every = [_misses(solved(model, np.ones(n, bool)), targets)[0] for model in models.values()]
     best = min(every, key=lambda missed: float(np.median(missed)))
-    kept = ~fit_steps.gross_errors(best, 2.0 * MAX_MISS * start.radius_px)
+    used = ~fit_steps.gross_errors(best, 2.0 * MAX_MISS * start.radius_px)
     _, fitted, choice = fit_steps.fit_and_choose(
         "lens",
         [(name, max(len(model[1]) - 1, 0), model) for name, model in models.items()],
         np.arange(n),
-        lambda model, rows: solved(model, rows & kept),
-        lambda _, fit, held: np.where(kept, _misses(fit, targets)[0] ** 2, np.nan)[held],
+        lambda model, rows: solved(model, rows & used),
+        lambda _, fit, held: np.where(used, _misses(fit, targets)[0] ** 2, np.nan)[held],
         unit="px",
     )
-    missed, angle = _misses(fitted, targets)
-    _check(fitted, missed[kept], angle[kept], targets)
+    missed_px, angle_rad = _misses(fitted, targets)
+    _check(fitted, missed_px[used], angle_rad[used], targets)
     new = _rounded(fitted)
     return LensFit(
         new,
-        widest_deg=float(np.degrees(angle[kept].max())),
+        widest_deg=float(np.degrees(angle_rad[used].max())),
         choice=choice,
-        warnings=_warnings(targets, missed, kept, new, lens),
+        warnings=_warnings(targets, missed_px, used, new, lens),
     )
 
 
 def level_lens(lens: Lens) -> Lens:
-    """Return the lens with its axis along the heading, which is the pose of chessboards."""
-    return replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
+    """Return the lens with its axis along the heading: azimuth, tilt and roll are 0."""
+    return replace(lens, **dict.fromkeys(_POSE, 0.0))
 
 
 def _pose_of(lens: Lens) -> dict[str, float]:
-    return {name: getattr(lens, name) for name in ("azimuth_deg", "tilt_deg", "roll_deg")}
+    """Return azimuth, tilt and roll of a lens, by field [deg]."""
+    return {name: getattr(lens, name) for name in _POSE}
 
 
 def _solve(
@@ -141,74 +144,72 @@ def _solve(
     *,
     pose: bool,
 ) -> tuple[Lens, Array, Any]:
-    """Fit a lens to places [n] by robust least squares; return it, and the other unknowns.
+    """Fit a lens to places [n] by robust least squares; return it, the other unknowns, and scipy's.
 
     start : the lens from which the search starts; model : mapping and powers, one of `MODELS`;
-    x_px, y_px : the places. rays_of : directions [n, 3] of the places, by the other unknowns [m],
-    which start at `others`. pose : the lens's pose is fitted too. The last result is scipy's
-    solution.
+    x_px, y_px : the places. rays_of : returns the directions [n, 3] of the places for the other
+    unknowns [m], which start at `others`. pose : the lens's pose is fitted too. The last result is
+    the solution of `scipy.optimize.least_squares`.
     """
     mapping, powers = model
-    free, posed = len(powers[1:]), 3 * pose
+    names = _POSE if pose else ()
+    of_lens = 3 + len(names) + len(powers[1:])  # number of the lens's unknowns, which come first
 
-    def lens_of(p: Array) -> Lens:
+    def lens_of(unknowns: Array) -> Lens:
         """Return the lens: centre, radius, pose if it is fitted, all powers but the first.
 
         The first power follows, because the coefficients of a polynomial add up to 1.
         """
-        x, y, radius, *angles = p[: 3 + posed].tolist()
-        terms, extra = np.zeros(max(powers, default=0)), p[3 + posed : 3 + posed + free].tolist()
+        x, y, radius_px, *rest = unknowns[:of_lens].tolist()
+        terms, further = np.zeros(max(powers, default=0)), rest[len(names) :]
         if powers:
-            terms[np.array(powers) - 1] = [1.0 - sum(extra), *extra]
-        azimuth, tilt, roll = angles or _pose_of(start).values()
-        return replace(
-            start,
-            centre_px=(x, y),
-            radius_px=radius,
-            mapping=mapping,
-            coefficients=tuple(terms.tolist()),
-            azimuth_deg=azimuth,
-            tilt_deg=tilt,
-            roll_deg=roll,
-        )
+            terms[np.array(powers) - 1] = [1.0 - sum(further), *further]
+        new = {"mapping": mapping, "coefficients": tuple(terms.tolist())}
+        new |= zip(names, rest, strict=False)
+        return replace(start, centre_px=(x, y), radius_px=radius_px, **new)
 
-    def misses(p: Array) -> Array:
-        x, y, _ = lens_pixels(lens_of(p), rays_of(p[3 + posed + free :]))
+    def misses(unknowns: Array) -> Array:
+        """Return the distances in x, then in y, of the lens's places from the given ones [px]."""
+        x, y, _ = lens_pixels(lens_of(unknowns), rays_of(unknowns[of_lens:]))
         return np.concatenate([x - x_px, y - y_px])
 
     terms = dict(enumerate(start.coefficients, start=1))
-    angles = list(_pose_of(start).values())[:posed]
+    angles = [getattr(start, name) for name in names]
     begin = [*start.centre_px, start.radius_px, *angles, *(terms.get(p, 0.0) for p in powers[1:])]
     begin += list(others)
     solved = least_squares(misses, begin, x_scale="jac", loss="soft_l1", f_scale=2.0, max_nfev=400)
-    return lens_of(solved.x), solved.x[3 + posed + free :], solved
+    return lens_of(solved.x), solved.x[of_lens:], solved
 
 
 def _misses(lens: Lens, targets: Targets) -> tuple[Array, Array]:
-    """Return each target's distance from its place by the lens [px], and its angle to the axis."""
+    """Return each target's distance from its place by the lens [px], and axis angle [rad], [n]."""
     x, y, angle_rad = lens_pixels(lens, targets.rays)
     return np.hypot(x - targets.x_px, y - targets.y_px), angle_rad
 
 
-def _check(lens: Lens, missed: Array, angle: Array, targets: Targets) -> None:
-    """Raise InputError for a lens that its own targets contradict."""
-    if np.median(missed) > MAX_MISS * lens.radius_px:
-        finding = f"the best lens misses half of the targets by over {np.median(missed):.0f} px"
+def _check(lens: Lens, missed_px: Array, angle_rad: Array, targets: Targets) -> None:
+    """Raise InputError for a fitted lens that its own targets contradict.
+
+    missed_px, angle_rad [n]: results of `_misses`.
+    """
+    if np.median(missed_px) > MAX_MISS * lens.radius_px:
+        finding = f"the best lens misses half of the targets by over {np.median(missed_px):.0f} px"
         remedy = "check the targets' signs and units, and the columns x_px and y_px"
         raise InputError(targets.source, finding, _WANTED, remedy)
-    fit_steps.refuse_beyond_lens(float(np.degrees(angle.max())), lens, targets.source)
+    fit_steps.refuse_beyond_lens(float(np.degrees(angle_rad.max())), lens, targets.source)
 
 
 def _warnings(
-    targets: Targets, missed: Array, kept: Mask, new: Lens, before: Lens
+    targets: Targets, missed_px: Array, used: Mask, new: Lens, before: Lens
 ) -> tuple[str, ...]:
     """Return warnings of omitted targets, and of a pose over 30 degrees from the profile's.
 
-    missed [n]: distances of targets from the fit [px]; kept [n]: the targets used.
+    missed_px [n]: distances of the targets from the fit; used [n]: True for targets that were not
+    omitted; new, before: the fitted lens and the profile's.
     """
     far = [
-        f"{targets.x_px[i]:g}, {targets.y_px[i]:g} (off by {missed[i]:.0f} px)"
-        for i in np.flatnonzero(~kept)
+        f"{targets.x_px[i]:g}, {targets.y_px[i]:g} (off by {missed_px[i]:.0f} px)"
+        for i in np.flatnonzero(~used)
     ]
     texts = [f"left out because no lens explains them: {'; '.join(far)}"] if far else []
     turn = new.axes() @ before.axes().T
@@ -223,14 +224,15 @@ def _warnings(
 
 
 def _with_fitted_pose(targets: Targets, lens: Lens) -> Lens:
-    """Return the lens with the pose that its targets give.
+    """Return the lens with the pose that its targets give, from which a fit can start.
 
-    This lets the fit succeed for a turned camera. The pose is the rotation from measured to true
-    directions. Raises InputError if only mirrored directions fit, which means that a sign is wrong.
+    The pose is the rotation from the directions by the level lens to the true ones. Raises
+    InputError if only mirrored directions fit, which means that a sign is wrong.
     """
     rays = lens_rays(level_lens(lens), targets.x_px, targets.y_px)
     miss, turn = _rotation_between(rays, targets.rays)
-    if _rotation_between(rays * (-1.0, 1.0, 1.0), targets.rays)[0] < 0.5 * miss and miss > 0.1:
+    mirrored_miss, _ = _rotation_between(rays * (-1.0, 1.0, 1.0), targets.rays)
+    if mirrored_miss < 0.5 * miss and miss > 0.1:
         finding = "the targets fit a lens only as a mirror image"
         remedy = "check the targets for a wrong sign, or for x and y exchanged"
         raise InputError(targets.source, finding, _WANTED, remedy)
@@ -239,10 +241,10 @@ def _with_fitted_pose(targets: Targets, lens: Lens) -> Lens:
 
 
 def _rotation_between(directions: Array, true: Array) -> tuple[float, Any]:
-    """Return the median distance (chord) of directions [n, 3] after rotation, and the rotation.
+    """Return the median error of the rotation from directions to `true` ones, and the rotation.
 
-    The rotation of scipy solves Wahba's problem (1965), with less weight for gross errors. true:
-    the directions after it [n, 3].
+    Both are unit vectors [n, 3]; the error is the chord between rotated and true ones. The
+    rotation, an object of scipy, solves Wahba's problem (1965), with less weight for gross errors.
     """
     off, turn = np.ones(len(directions)), Rotation.identity()
     for _ in range(10):
@@ -252,12 +254,12 @@ def _rotation_between(directions: Array, true: Array) -> tuple[float, Any]:
 
 
 def _rounded(lens: Lens) -> Lens:
-    """Return a fitted lens with the digits that a profile has."""
+    """Return a fitted lens with the digits that a profile has, and angles within 180 degrees."""
     x, y = np.round(lens.centre_px, 3).tolist()
-    turned = {name: round((angle + 180) % 360 - 180, 4) for name, angle in _pose_of(lens).items()}
+    pose = {name: round((angle + 180) % 360 - 180, 4) for name, angle in _pose_of(lens).items()}
     terms = tuple(np.round(lens.coefficients, 7).tolist())
     radius_px = round(lens.radius_px, 3)
-    return replace(lens, centre_px=(x, y), radius_px=radius_px, coefficients=terms, **turned)
+    return replace(lens, centre_px=(x, y), radius_px=radius_px, coefficients=terms, **pose)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -284,13 +286,13 @@ def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
 def fit_boards(
     corners: Sequence[Array], columns: int, rows: int, lens: Lens
 ) -> tuple[LensFit, Targets]:
-    """Fit a lens and the poses of n chessboards to their corners; return also the corners' targets.
+    """Fit a lens and the poses of n chessboards to their corners; return it, and the targets used.
 
     corners : results of `chessboard_corners` [rows * columns, 2] px, one for each picture with a
-    board; columns, rows : as there. The fit starts from `lens`, and the result has its pose
-    (azimuth, tilt, roll), because boards do not determine it; its rms is the residual of the
-    corners. Raises NotEnoughDataError for fewer than four boards, InputError for corners that no
-    lens explains.
+    board; columns, rows : numbers of inner corners along the board's sides. The fit starts from
+    `lens`, and the result has its pose (azimuth, tilt, roll), because boards do not determine it;
+    its rms is the residual of the corners. Raises NotEnoughDataError for fewer than four boards,
+    InputError for corners that no lens explains.
     """
     remedy = "check the corners after --chessboard; take sharp pictures, also at the circle's edge"
     fit_steps.require(len(corners), 4, "pictures in which the chessboard was detected", remedy)
@@ -298,9 +300,10 @@ def fit_boards(
     points[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
 
     def rays_of(poses: Array) -> Array:
-        at = [Rotation.from_rotvec(p[:3]).apply(points) + p[3:] for p in poses.reshape(-1, 6)]
-        at = np.concatenate(at)
-        return at / np.linalg.norm(at, axis=-1, keepdims=True)
+        """Return the directions [corners, 3] of all corners; poses: as of `_board_pose`, [6 n]."""
+        boards = [(Rotation.from_rotvec(p[:3]), p[3:]) for p in poses.reshape(-1, 6)]
+        places = np.concatenate([turn.apply(points) + position for turn, position in boards])
+        return places / np.linalg.norm(places, axis=-1, keepdims=True)
 
     x, y = np.concatenate(corners).T
     level = level_lens(lens)
@@ -312,7 +315,7 @@ def fit_boards(
     powers = tuple(i + 1 for i, c in enumerate(start.lens.coefficients) if c)
     model, own = (start.lens.mapping, powers), level_lens(start.lens)
     fitted, _, solved = _solve(own, model, x, y, rays_of, poses, pose=False)
-    rms = float(np.sqrt(2.0 * np.mean(solved.fun**2)))
+    rms = float(np.sqrt(2.0 * np.mean(solved.fun**2)))  # of distances; x and y are separate
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
     text = f"residual of the corners {rms:.2f} px rms, uncertainty of the centre {u_px:.2f} px"
     choice = replace(start.choice, rms=rms, line=f"{start.choice.line}; {text}")
@@ -321,10 +324,11 @@ def fit_boards(
 
 
 def _board_pose(level: Lens, corners: Array, points: Array) -> Array:
-    """Return the pose of a board by a lens: rotation vector [rad] and position [squares], [6].
+    """Return the pose of a board, [6]: rotation vector [rad], then position [squares].
 
-    The corners are projected to a plane in front of the board, as a pinhole camera sees them.
-    points: the corners on the board, in squares [n, 3].
+    level: a lens that looks along the heading; corners: the board's in the picture, x and y [n, 2]
+    px; points: the same on the board, in squares [n, 3]. The corners are projected to a plane in
+    front of the board, as a pinhole camera sees them.
     """
     rays = lens_rays(level, *corners.T)
     turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [rays.mean(axis=0)])[0]
@@ -346,7 +350,7 @@ class Circle(NamedTuple):
     """The image circle of a fisheye: centre (x, y) and radius in px.
 
     u_px: standard uncertainty of the radius: the edge points' distance from the circle, and 1 px
-    for where between light and dark the picture ends. edge: x, y [2, n] of the points.
+    for the place of the edge between light and dark. edge: x, y [2, n] of the edge points [px].
     """
 
     centre_px: tuple[float, float]
@@ -369,21 +373,22 @@ def circle(
     radius.
     """
     start = _bright_area(picture) if guessed else np.array([*lens.centre_px, lens.radius_px])
-    place, edge, on_circle, off = start, np.empty((2, 0)), 0.0, np.empty(0)
+    fitted, edge, on_circle, off = start, np.empty((2, 0)), 0.0, np.empty(0)  # x, y, radius
 
-    def misses(p: Array) -> Array:
-        return np.hypot(edge[0] - p[0], edge[1] - p[1]) - p[2]
+    def misses(circle: Array) -> Array:
+        """Return how far the edge points are outside a circle of x, y and radius [px]."""
+        return np.hypot(edge[0] - circle[0], edge[1] - circle[1]) - circle[2]
 
     for reach in (2.0 * _MAX_CHANGE, 0.1, 0.1):
-        edge, rays = _edge_points(picture, place, reach)
+        edge, rays = _edge_points(picture, fitted, reach)
         if edge.shape[1] < 60:
             on_circle = 0.0
             break
-        place = least_squares(misses, place, loss="soft_l1", f_scale=0.5).x
-        off = misses(place)
+        fitted = least_squares(misses, fitted, loss="soft_l1", f_scale=0.5).x
+        off = misses(fitted)
         # Evenly lit fields have a share of 1.0, six exposures of a real room at most 0.71.
-        on_circle = (np.abs(off) < max(0.005 * place[2], 2.0)).sum() / rays
-    change = max(np.hypot(*(place - start)[:2]), abs(place[2] - start[2])) / start[2]
+        on_circle = (np.abs(off) < max(0.005 * fitted[2], 2.0)).sum() / rays
+    change = max(np.hypot(*(fitted - start)[:2]), abs(fitted[2] - start[2])) / start[2]
     if on_circle < 0.9 or change > _MAX_CHANGE:
         x, y, radius = start
         whose = "the bright area" if guessed else "the profile's circle"
@@ -392,12 +397,15 @@ def circle(
         expected = f"an evenly lit circle on black, within {100 * _MAX_CHANGE:.0f} % of {near}"
         remedy = "take a frame of white paper in front of the lens, without clipping"
         raise InputError(source, finding, expected, remedy)
-    x, y, radius = place.tolist()
+    x, y, radius = fitted.tolist()
     return Circle((x, y), radius, float(np.hypot(robust_sigma(off, 0.0), 1.0)), edge)
 
 
 def _bright_area(picture: NDArray[np.uint8]) -> Array:
-    """Return centre x, y and radius [px] of a disc as large as the bright area."""
+    """Return centre x, y and radius [px] of a disc as large as a picture's bright area, [3].
+
+    An area is bright if its linear light is above the middle between dark and bright.
+    """
     light = (picture / 255.0) ** 2.2
     low, high = np.percentile(light, (1.0, 99.0))
     rows, columns = np.nonzero(light >= (low + high) / 2)
@@ -413,8 +421,10 @@ def _edge_points(picture: NDArray[np.uint8], around: Array, reach: float) -> tup
     smooth = 255 * gaussian_filter((picture.astype(np.float32) / 255) ** 2.2, 1.0)
     turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     x, y, radius = around
+    # distances from the centre at which each ray is sampled, every quarter of a pixel
     out = radius * (1.0 - reach) + np.arange(0.0, 2 * reach * radius, 0.25)
     columns, rows = x + np.outer(np.cos(turn), out) - 0.5, y + np.outer(np.sin(turn), out) - 0.5
+    # light along each ray [720, distances], NaN outside the picture
     line = map_coordinates(smooth, [rows, columns], order=1, mode="constant", cval=np.nan)
     inner = line[:, : len(out) // 5].mean(axis=1)
     outer = np.nanmin(np.where(np.isnan(line), np.inf, line), axis=1)
@@ -435,16 +445,17 @@ def chart(targets: Targets, fit: LensFit) -> Chart:
     """Return a chart of the targets' distances from the centre over their angles from the axis."""
     x, y, angle_rad = lens_pixels(fit.lens, targets.rays)
     x0, y0 = fit.lens.centre_px
-    at, fitted = np.hypot(targets.x_px - x0, targets.y_px - y0), np.hypot(x - x0, y - y0)
+    read, fitted = np.hypot(targets.x_px - x0, targets.y_px - y0), np.hypot(x - x0, y - y0)
     angle = ("angle from the optical axis [deg]", np.degrees(angle_rad))
     title = f"lens, {fit.lens.mapping}; rms {fit.choice.rms:.2g} px"
-    return Chart(title, at / fitted - 1.0, (), angle, ("distance from the centre [px]", at), fitted)
+    distance = ("distance from the centre [px]", read)
+    return Chart(title, read / fitted - 1.0, (), angle, distance, fitted)
 
 
-def circle_chart(found: Circle, source: Path) -> Chart:
-    """Return a chart of the image circle's edge over the frame `source`."""
-    (x, y), radius = found.centre_px, found.radius_px
-    away = np.hypot(found.edge[0] - x, found.edge[1] - y)
-    title = f"centre {x:.1f}, {y:.1f}, radius {radius:.1f} px, uncertainty {found.u_px:.1f} px"
-    places = [Place(source, x_px, y_px) for x_px, y_px in found.edge.T.tolist()]
-    return Chart(title, away / radius - 1.0, places)
+def circle_chart(circle: Circle, source: Path) -> Chart:
+    """Return a chart of the image circle's edge points over the frame `source`."""
+    (x, y), radius = circle.centre_px, circle.radius_px
+    distance = np.hypot(circle.edge[0] - x, circle.edge[1] - y)
+    title = f"centre {x:.1f}, {y:.1f}, radius {radius:.1f} px, uncertainty {circle.u_px:.1f} px"
+    places = [Place(source, x_px, y_px) for x_px, y_px in circle.edge.T.tolist()]
+    return Chart(title, distance / radius - 1.0, places)

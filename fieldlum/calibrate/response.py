@@ -24,31 +24,33 @@ from fieldlum.optics.raw import frame_files, is_jpeg, read_jpeg
 
 # Codes that count for the residual, and have weight in a merge: the profile's defaults.
 LOW, HIGH = Response().low_code, Response().high_code
-SMOOTH = (3000.0, 300.0, 30.0, 3.0)  # stiffness of the tables that are tried
-_DOES_NOT_HOLD = 255  # stands for the spread of a block with a code outside LOW to HIGH
-_PLACES_OF_STEP = 250  # the median of so many is 13 times as sure as one; chosen
+_STIFFNESSES = (3000.0, 300.0, 30.0, 3.0)  # of the tables that are tried
+_NO_SPREAD = 255  # replaces the spread of codes in a block with a code outside LOW to HIGH
+_PLACES_OF_STEP = 250  # u of the median is a 13th of that of one place; chosen
 _MAX_SCATTER = 4.0  # chosen: a place with two frames passes with 99 % if it has only noise
 _MIN_PLACES = 20  # below it `fit_response` has no result
-_MIN_SHARED = 8  # places for the median of a step, which their scatter then weights; chosen
-_SYSTEMATIC = 0.0025  # of light: rounding of codes and stray light; bench/bracket_steps.py
-_LABEL_U = 0.05  # ln of light: prior of a label, of the order of rounding to thirds (6.7 %); chosen
-_MEASURED_U = 0.02  # ln of light: a step with a larger uncertainty is the label's; chosen
-# ln: the colours of a phone with a fixed white balance differ by up to 3 % in steps that only a
-# lamp shows (measured); daylight and lamps are 30 % apart. Chosen between.
-_BALANCE = 0.06
+_MIN_SHARED = 8  # places for the median of a step, whose weight follows from their scatter; chosen
+_U_SYSTEMATIC = 0.0025  # ln of light: rounding of codes and stray light; bench/bracket_steps.py
+_U_LABEL = 0.05  # ln of light: of a label before the fit, as labels round to thirds (6.7 %); chosen
+_MAX_U_STEP = 0.02  # ln of light: a step with a larger uncertainty counts as not measured; chosen
+# ln: a smaller change of colour is no change of white balance. The colours of a phone with a fixed
+# white balance differ by up to 3 % in steps that only a lamp shows (measured); daylight and lamps
+# are 30 % apart. Chosen between.
+_MIN_BALANCE_CHANGE = 0.06
 
 
 # ----------------------------------------------------------------------------------------------
 # exposure steps by the overlap of the frames, under an unknown response
 #
-# Labels are rounded to thirds of a stop, and some shutters keep the decimals: steps that are equal
-# by the labels differ by up to 6.7 %. Frames that show the same places decide the deviations of
-# single steps. They cannot decide the length of all steps together, because an unknown response
-# leaves a power of the exposure free (Grossberg and Nayar 2003): the labels do.
+# The exposures that a camera states (labels) are rounded to thirds of a stop, but some shutters are
+# exact: steps that are equal by the labels differ by up to 6.7 %. Frames that show the same places
+# determine the deviations of single steps. They cannot determine the length of all steps together,
+# because an unknown response leaves a power of the exposure free (Grossberg and Nayar 2003). The
+# labels determine that power.
 
 
 class Steps(NamedTuple):
-    """The exposures of a bracket by its overlap, and how much single steps contradict the labels.
+    """The exposures of brackets by the overlap of frames, and how much steps contradict the labels.
 
     log_exposure [exposures] : ln, corrected, with the labels' span. deviation [exposures - 1] : of
     each step from its label, ln of light; 0 where the overlap does not contradict the label.
@@ -63,22 +65,23 @@ class Steps(NamedTuple):
     @property
     def text(self) -> str:
         """One line on the corrected steps and a changed white balance, "" if there is neither."""
-        changed, count = np.count_nonzero(self.deviation), len(self.deviation)
-        off = f"{changed} of {count} steps by the labels, by up to "
-        off += f"{100.0 * float(np.abs(self.deviation).max(initial=0.0)):.1f} %"
+        changed, percent = np.count_nonzero(self.deviation), 100.0 * np.abs(self.deviation)
+        largest = f"by up to {percent.max(initial=0.0):.1f} %"
+        off = f"{changed} of {len(self.deviation)} steps by the labels, {largest}"
         text = f"exposure steps: the overlap of the frames contradicts {off}, and was used"
-        text = f"{text}; the span of all steps is the labels'" if changed else ""
+        text += "; the span of all steps is the labels'"
         change = f"the white balance changes by over {100.0 * self.balance:.0f} % between frames"
         remedy = "their colours are not usable; fix it, and take the bracket again"
-        caution = f"CAUTION: {change}: {remedy}" if self.balance else ""
-        return "; ".join(filter(None, [text, caution]))
+        texts = {text: changed, f"CAUTION: {change}: {remedy}": self.balance}
+        return "; ".join(text for text, applies in texts.items() if applies)
 
 
 def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: Indices) -> Steps:
-    """Return the exposures [exposures] by the overlap, starting from those by the labels.
+    """Correct the exposures of brackets by the overlap of the frames, starting from the labels.
 
     codes [places, exposures, 3] : 0 for an exposure that a place's bracket lacks; log_exposure
-    [exposures] : ln, increasing; bracket [places] : index of each place's bracket.
+    [exposures] : ln of the exposures by the labels, increasing; bracket [places] : index of each
+    place's bracket. With fewer than 20 places nothing is corrected.
     """
     step = np.diff(log_exposure)
     deviation, u, log_e = np.zeros(len(step)), np.full(len(step), np.inf), log_exposure
@@ -86,24 +89,25 @@ def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: In
     present = [codes[bracket == index].any(axis=(0, 2)) for index in np.unique(bracket)]
     pairs = {pair for shown in present for pair in pairwise(np.flatnonzero(shown).tolist())}
     for _ in range(12 if len(codes) >= _MIN_PLACES else 0):  # the response adapts to the steps
-        further, u, balance = _fitted(_log_light(codes, log_e), sorted(pairs))
+        further, u, balance = _deviations(_log_light(codes, log_e), sorted(pairs))
         deviation = _without_stretch(deviation + further, u, np.diff(log_e))
         before, log_e = log_e, log_exposure + np.r_[0.0, np.cumsum(deviation)]
         if np.abs(log_e - before).max() < 2e-4:
             break
     # A power is free: the one that agrees with most labels shows which of them are contradicted.
-    measured = u < _MEASURED_U
+    measured = u < _MAX_U_STEP
     power = float(np.median((deviation / step)[measured])) if measured.any() else 0.0
     against = np.where(measured, deviation - power * step, 0.0)
-    kept = np.where(np.abs(against) > 2.0 * u, against, 0.0)
-    log_e = log_exposure + np.r_[0.0, np.cumsum(_without_stretch(kept, u, step))]
-    return Steps(log_e, kept, balance)
+    significant = np.where(np.abs(against) > 2.0 * u, against, 0.0)
+    log_e = log_exposure + np.r_[0.0, np.cumsum(_without_stretch(significant, u, step))]
+    return Steps(log_e, significant, balance)
 
 
 def _log_light(codes: NDArray[np.uint8], log_e: Floats) -> Floats:
-    """Return ln of light over exposure [places, exposures, 3]; NaN for codes that do not count.
+    """Return ln of light over exposure, [places, exposures, 3]; NaN for codes that do not count.
 
-    codes: [places, exposures, 3]; log_e: ln of the exposures.
+    A response is fitted to the codes [places, exposures, 3] of each colour first. log_e
+    [exposures]: ln of the exposures.
     """
     light = np.full(codes.shape, np.nan)
     for colour in range(3):
@@ -114,15 +118,16 @@ def _log_light(codes: NDArray[np.uint8], log_e: Floats) -> Floats:
     return light
 
 
-def _fitted(light: Floats, pairs: Sequence[tuple[int, int]]) -> tuple[Floats, Floats, float]:
-    """Return deviations of the steps [exposures - 1] in ln of light, with standard uncertainties.
+def _deviations(light: Floats, pairs: Sequence[tuple[int, int]]) -> tuple[Floats, Floats, float]:
+    """Return deviations of the steps, their standard uncertainties, and the change of colour.
 
-    Least squares over the pairs and colours, each by its own scatter, with the labels as a prior.
-    The last value is the largest change of red or blue against green, ln; 0 for none. light: ln of
-    light over exposure, by `_log_light`; pairs: of exposures that share places.
+    Deviations and uncertainties [exposures - 1] are in ln of light, by least squares over pairs and
+    colours, each weighted by its own scatter, with the labels as a prior. The last value is the
+    largest change of red or blue against green, ln; 0 for none. light: result of `_log_light`;
+    pairs: indices of two exposures that show the same places.
     """
     count, balance = light.shape[1] - 1, 0.0
-    normal, right = np.eye(count) / _LABEL_U**2, np.zeros(count)
+    normal, right = np.eye(count) / _U_LABEL**2, np.zeros(count)
     for first, second in pairs:
         middle, weight = np.zeros(3), np.zeros(3)
         for colour in range(3):
@@ -136,19 +141,23 @@ def _fitted(light: Floats, pairs: Sequence[tuple[int, int]]) -> tuple[Floats, Fl
             continue
         row = np.zeros(count)
         row[first:second] = 1.0
-        variance = 1.0 / weight.sum() + _SYSTEMATIC**2
+        variance = 1.0 / weight.sum() + _U_SYSTEMATIC**2
         normal += np.outer(row, row) / variance
         right += row * np.average(middle, weights=weight) / variance
-        for colour in (0, 2) if weight.all() else ():
+        for colour in (0, 2) if weight.all() else ():  # red and blue against green
             change = abs(middle[colour] - middle[1])
             u = np.sqrt(1.0 / weight[colour] + 1.0 / weight[1])
-            balance = max(balance, change if change > max(_BALANCE, 4.0 * u) else 0.0)
+            if change > max(_MIN_BALANCE_CHANGE, 4.0 * u):
+                balance = max(balance, change)
     return np.linalg.solve(normal, right), np.sqrt(np.diag(np.linalg.inv(normal))), balance
 
 
 def _without_stretch(deviation: Floats, u: Floats, step: Floats) -> Floats:
-    """Return deviations whose sum over the measured steps is 0: a power of exposure is removed."""
-    own, measured = np.where(u < _MEASURED_U, [deviation, step], 0.0)
+    """Return deviations [steps] without a power of exposure: their sum over measured steps is 0.
+
+    u: uncertainty of each step, which decides whether it is measured; step: ln, by the labels.
+    """
+    own, measured = np.where(u < _MAX_U_STEP, [deviation, step], 0.0)
     return own - measured * (own.sum() / max(float(measured.sum()), 1e-9))
 
 
@@ -157,7 +166,7 @@ def _without_stretch(deviation: Floats, u: Floats, step: Floats) -> Floats:
 
 
 class Places(NamedTuple):
-    """Codes of the same places in all frames of a bracket, pooled over brackets.
+    """The codes of the same places in all frames of a bracket, for several brackets.
 
     codes [places, exposures, 3] : code of a place in R, G, B; 0 if its bracket has no such
     exposure. log_exposure [exposures] : ln of (true shutter time [s] times ISO); bracket [places] :
@@ -209,7 +218,7 @@ def sample(
     """
     parts = [_flat_places(paths, profile, rng) for paths in brackets]
     law = stated_law([e.shutter_s for _, exposures in parts for e in exposures], profile)
-    lawful, axes = replace(profile, shutter_law=law.law), []
+    lawful, axes = replace(profile, shutter_law=law.law), []  # ln of exposure of each frame
     for (_, exposures), paths in zip(parts, brackets, strict=True):
         iso_s = [true_shutter_s(e.shutter_s, lawful)[0] * e.iso for e in exposures]
         axes.append(np.round(np.log(iso_s), 4))
@@ -233,15 +242,15 @@ def sample(
 def _flat_places(
     paths: Sequence[Path], profile: CameraProfile, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], list[Exposure]]:
-    """Return the mean codes of a bracket's 3 x 3 blocks without an edge, inside the lens circles.
+    """Return the codes of places without an edge [places, frames, 3], and the frames' exposures.
 
-    paths: of the frames; rng: of the choice among places of one brightness. The codes are [places,
-    frames, 3], and the exposures are by EXIF. At most 2 million blocks on a grid are compared, one
-    frame at a time. Half of the places are spread over the brightnesses, and each pair of
-    neighbouring exposures has up to `_PLACES_OF_STEP` that both show.
+    A place is a block of 3 x 3 pixels inside the lens circles; its code is the mean. Exposures are
+    those of EXIF. rng: for the choice among places of one brightness. At most 2 million blocks on a
+    grid are compared, one frame at a time. Half of the places are spread over the brightnesses, and
+    each pair of neighbouring exposures has up to `_PLACES_OF_STEP` that both show.
     """
     height, width = profile.camera.height_px, profile.camera.width_px
-    step = max(3, int(np.ceil(np.sqrt(height * width / 2_000_000))))
+    step = max(3, int(np.ceil(np.sqrt(height * width / 2_000_000))))  # px between places
     y, x = np.mgrid[1 : height - 1 : step, 1 : width - 1 : step]
     at = [relative_radius(lens, x + 0.5, y + 0.5) for lens in profile.lens]
     inside = np.min(at, axis=0) < 0.95
@@ -256,20 +265,20 @@ def _flat_places(
             raise InputError(path, finding, "the frames of one bracket", "remove this frame")
         around = [frame.codes[y + down, x + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
         block = np.stack(around)  # [9, places, 3]
-        holds = ((block >= LOW) & (block <= HIGH)).all(axis=(0, 2))
+        is_valid = ((block >= LOW) & (block <= HIGH)).all(axis=(0, 2))
         levels.append(np.rint(block.mean(axis=0)).astype(np.uint8))
-        spreads.append(np.where(holds, np.ptp(block[..., 1], axis=0), _DOES_NOT_HOLD))  # of green
+        spreads.append(np.where(is_valid, np.ptp(block[..., 1], axis=0), _NO_SPREAD))  # of green
     codes, spread = np.stack(levels), np.stack(spreads)  # [frames, places, 3], [frames, places]
-    held = spread < _DOES_NOT_HOLD
-    is_flat = ~held | (spread <= _noise_spread(spread, codes[..., 1])[codes[..., 1]])
-    flat = np.flatnonzero(is_flat.all(axis=0) & (held.sum(axis=0) >= 2))
+    valid = spread < _NO_SPREAD
+    is_flat = ~valid | (spread <= _noise_spread(spread, codes[..., 1])[codes[..., 1]])
+    flat = np.flatnonzero(is_flat.all(axis=0) & (valid.sum(axis=0) >= 2))
     what = f"{paths[0].parent}: even places exposed well (JPEG codes {LOW} to {HIGH}) by two frames"
     require(len(flat), 50, what, "use steps of at most 2 EV, and picture walls and sky")
     brightness = codes[:, flat, 1].mean(axis=0) + rng.uniform(0, 1e-3, len(flat))
     chosen = _spread_indices(brightness, min(500, len(flat)))  # more did not change the table
-    held, unevenness = held[:, flat], np.where(held, spread, 0)[:, flat].max(axis=0)
+    valid, unevenness = valid[:, flat], np.where(valid, spread, 0)[:, flat].max(axis=0)
     for first, second in pairwise(np.argsort([e.shutter_s * e.iso for e in exposures])):
-        in_both = held[first] & held[second]
+        in_both = valid[first] & valid[second]
         lacking = max(0, _PLACES_OF_STEP - np.count_nonzero(in_both[chosen]))
         others = np.setdiff1d(np.flatnonzero(in_both), chosen)
         evenest = others[np.argsort(unevenness[others], kind="stable")[:lacking]]
@@ -278,10 +287,11 @@ def _flat_places(
 
 
 def _is_steady(codes: NDArray[np.uint8], log_exposure: Floats) -> Mask:
-    """Return which places keep their light in all frames; flickering lamps and leaves do not.
+    """Return a mask [places], True for places whose light is the same in all frames.
 
-    codes [places, exposures, 3]; log_exposure [exposures]. Their light scatters in each colour at
-    most `_MAX_SCATTER` times as much as that of most places. All are steady if they are too few.
+    Flickering lamps and moving leaves are not steady: their light scatters in a colour over
+    `_MAX_SCATTER` times as much as that of most places. codes: [places, exposures, 3]; log_exposure
+    [exposures]: ln. All are True if the places are too few.
     """
     steady = np.ones(len(codes), bool)
     for own in codes.transpose(2, 0, 1) if len(codes) >= _MIN_PLACES else ():
@@ -291,15 +301,16 @@ def _is_steady(codes: NDArray[np.uint8], log_exposure: Floats) -> Mask:
 
 
 def _noise_spread(spread: NDArray[np.uint8], level: NDArray[np.uint8]) -> Floats:
-    """Return the spread of 3 x 3 codes that noise explains at each mean code, [256].
+    """Return the largest spread of 3 x 3 codes that noise explains, for each mean code, [256].
 
-    spread, level : of the blocks [frames, places]. The same code has the same noise in all frames,
-    so that the frame decides whose quietest quarter of the blocks with such a code spreads least: a
-    lamp in a dark frame has only edges. Half as much again is noise too, and so are 9 codes.
+    spread, level : highest minus lowest, and mean code of the blocks [frames, places]. A code has
+    the same noise in all frames, but in some frames only edges have it, such as a lamp's in a dark
+    one. So the frame counts in which a quarter of the blocks of similar codes has the smallest
+    spread. The limit is 1.5 times this spread, and at least 9 codes.
     """
     limit = np.full(256, 9.0)
-    for first in range(0, 256, 32):  # code
-        near = (spread < _DOES_NOT_HOLD) & (level // 32 == first // 32)
+    for first in range(0, 256, 32):  # 32 similar codes at a time
+        near = (spread < _NO_SPREAD) & (level // 32 == first // 32)
         of_frames = [values[used] for values, used in zip(spread, near, strict=True)]
         quiet = [float(np.quantile(values, 0.25)) for values in of_frames if len(values) >= 200]
         limit[first : first + 32] = max(9.0, 1.5 * min(quiet, default=0.0))
@@ -326,7 +337,7 @@ def _spread_indices(level: Floats, count: int) -> Indices:
 def place_variances(
     table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int = LOW
 ) -> Floats:
-    """Return for each place the variance of ln(z / exposure) over its frames, [places].
+    """Return the variance of ln(z / exposure) over the frames of each place, [places].
 
     With the right table it contains only noise, because the light of a place is the same in all
     frames. table [256] : linear light z of each code; codes [places, frames] : of one colour; log_e
@@ -339,9 +350,9 @@ def place_variances(
 
 
 def _off_mean(table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int) -> Floats:
-    """Return ln of each frame's light less its mean over the frames, [places, frames].
+    """Return ln(z / exposure) of each frame minus its mean over the frames, [places, frames].
 
-    Arguments as in `place_variances`. NaN for codes and places that do not count.
+    NaN for codes and places that do not count. Arguments as in `place_variances`.
     """
     counts = (codes >= low) & (codes <= HIGH)
     counts &= counts.sum(axis=1, keepdims=True) >= 2
@@ -365,14 +376,16 @@ def fit(places: Places) -> ResponseFit:
     require(int(good.any(axis=1).sum()), 20, what, "take more frames for a response")
     groups = places.bracket if places.bracket.max() >= 2 else np.arange(len(codes)) % 8
     models: list[tuple[str, int, str | float]] = [("linear", 0, "linear"), ("srgb", 0, "srgb")]
-    models += [(f"table of stiffness {s:g}", n, s) for n, s in enumerate(SMOOTH, start=1)]
+    models += [(f"table of stiffness {s:g}", n, s) for n, s in enumerate(_STIFFNESSES, 1)]
 
     def tables_of(model: str | float, rows: Mask) -> list[Floats]:
+        """Return the table [256] of each colour: a standard curve, or fitted with a stiffness."""
         if isinstance(model, str):
             return [response_table(model)] * 3
         return [fit_response(codes[rows, :, c], log_e, smooth=model)[0] for c in range(3)]
 
     def misfit(_: str | float, tables: list[Floats], held: Mask) -> Floats:
+        """Return the variance of each held-out place by the tables, as a mean over colours."""
         of_colours = [
             place_variances(t, codes[held, :, c], log_e, low) for c, t in enumerate(tables)
         ]
@@ -381,7 +394,7 @@ def fit(places: Places) -> ResponseFit:
         return np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
 
     model, tables, choice = fit_and_choose(
-        "response", models, groups, tables_of, misfit, negligible=_SYSTEMATIC
+        "response", models, groups, tables_of, misfit, negligible=_U_SYSTEMATIC
     )
     if choice.rms > 0.1:  # a still scene in steady light leaves 1 to 5 %
         caution = "CAUTION: check that camera and light did not change; take the bracket again"
@@ -397,7 +410,7 @@ def fit(places: Places) -> ResponseFit:
 def chart(places: Places, fit: ResponseFit) -> Chart:
     """Return a chart of the light of the sampled places over their codes, in all colours.
 
-    A residual is the light of a place by one frame less the mean by all frames, as a share.
+    A residual is ln of a place's light by one frame minus the mean by all frames.
     """
     response, parts = fit.response, []
     for c, curve in enumerate((response.red, response.green, response.blue)):

@@ -15,8 +15,8 @@ from fieldlum.optics.illuminance import illuminance_lx
 from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.profiles import CameraProfile
 
-# Relative difference from the fit beyond which a reading is an outlier, if it is above three u
-# too; and relative u of a spot's mean that means an edge in its field. Chosen, not measured.
+# A reading is an outlier if it differs from the fit by more than this and by more than three u. A
+# spot whose mean has a larger relative u has an edge in its field. Chosen, not measured.
 MIN_OUTLIER = 0.1
 _UNITS = "1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx = 1000 lx"
 
@@ -24,13 +24,13 @@ _UNITS = "1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx = 1000 lx"
 class LuminanceReading(NamedTuple):
     """One comparison of a meter's reading with the picture's value at the same place.
 
-    label : name of the reading, for messages. meter, image : value by the meter and by the picture,
-    at the profile's k, both in cd/m2 (kind "spot") or lx (kind "illuminance"). u_rel : relative
-    uncertainty of their ratio, without that of the meter's calibration; u_image : the part of the
-    picture's value. place : in its panorama.
+    kind : "spot" or "illuminance". label : name of the reading, for messages. meter, image : value
+    by the meter and by the picture at the profile's k, in cd/m2 for a spot, else in lx. u_rel :
+    relative uncertainty of their ratio, without that of the meter's calibration; u_image : the part
+    of the picture's value. place : in its panorama.
     """
 
-    kind: str  # "spot" or "illuminance"
+    kind: str
     label: str
     meter: float
     image: float
@@ -42,9 +42,9 @@ class LuminanceReading(NamedTuple):
 class ScaleFit(NamedTuple):
     """A fitted factor on k, its relative uncertainty, and how well the readings agree with it.
 
-    u_rel: of the new k, the meter's calibration included. far: labels of outliers, which count less
-    in the fit. factor: multiplies the profile's k. residual: meter over corrected picture minus one
-    [n]. line: a sentence with the held-out error.
+    factor: multiplies the profile's k. u_rel: standard uncertainty of the new k, the meter's
+    calibration included. residual [n]: meter over corrected picture minus 1. far: labels of
+    outliers, which count less in the fit. line: a sentence with the held-out error.
     """
 
     factor: float
@@ -57,14 +57,14 @@ class ScaleFit(NamedTuple):
 def from_table(
     path: Path, profile: CameraProfile
 ) -> tuple[list[LuminanceReading], list[Path], tuple[str, ...]]:
-    """Read a csv with panorama, azimuth_deg, altitude_deg, and luminance_cdm2 or illuminance_lx.
+    """Return the readings of a csv, the files of its panoramas, and notes for the user.
 
-    The column u_rel (relative uncertainty of a reading, default 0.02) is optional. Azimuth is
-    clockwise from north. A spot is the trimmed mean over a disc of 1 degree; an illuminance is that
-    of a plane which faces the direction. Values of the pictures are converted to the profile's k
-    from the k that they were merged with. Return the readings, the files of the pictures, and notes
-    for the user (empty without any). Raises InputError for a line with both or neither reading, a
-    place that is clipped or without light, and pictures of another calibration.
+    The columns are panorama, azimuth_deg (clockwise from north), altitude_deg, and luminance_cdm2
+    or illuminance_lx; optional is u_rel, the relative uncertainty of a reading (default 0.02). The
+    picture's luminance is the trimmed mean over a disc of 1 degree, its illuminance that on a plane
+    which faces the direction, both converted from the k of the merge to the profile's k. Raises
+    InputError for a line with both or neither reading, a place that is clipped or without light,
+    and pictures of another calibration.
     """
     optional = {"luminance_cdm2": None, "illuminance_lx": None, "u_rel": fit_steps.READING_U}
     rows = fit_steps.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
@@ -82,11 +82,11 @@ def from_table(
 
 
 def _reading(path: Path, row: fit_steps.CsvRow, picture: Panorama, to_k: float) -> LuminanceReading:
-    """Return a line of the csv as a reading.
+    """Return a reading, with the picture's value at its place.
 
-    row: its values; picture: the panorama that it names; to_k: factor on the picture's luminance
-    that makes it that of the profile's k. Raises InputError for neither or both of luminance and
-    illuminance, and for clipped pixels.
+    row: its line of the csv at `path`; picture: the panorama that it names; to_k: factor that
+    converts the picture's luminance to the profile's k. Raises InputError for neither or both of
+    luminance and illuminance, and for clipped pixels.
     """
     at = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])
     spot, plane = row["luminance_cdm2"], row["illuminance_lx"]
@@ -119,6 +119,10 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
 
 
 def _refuse_clipped(picture: Panorama, inside: Mask, file: Path | str, place: str) -> None:
+    """Raise InputError if a pixel of the mask `inside` [H, W] is clipped in every frame.
+
+    file, place: where the pixels are, for the error.
+    """
     if fit_steps.is_flagged(picture, inside, Flag.CLIPPED_HIGH):
         finding = f"the picture is clipped in every frame {place}"
         remedy = "remove this reading, or capture shorter exposures as well"
@@ -128,7 +132,9 @@ def _refuse_clipped(picture: Panorama, inside: Mask, file: Path | str, place: st
 def spot_cdm2(
     picture: Panorama, azimuth_deg: float, altitude_deg: float, file: Path | str = "picture"
 ) -> tuple[float, float]:
-    """Return the trimmed mean luminance [cd/m2] of a spot meter's field, and its relative u.
+    """Return a picture's mean luminance [cd/m2] over a spot meter's field, and its relative u.
+
+    The tenth of the pixels with the smallest and the tenth with the largest values do not count.
 
     The field is a disc of 1 degree diameter around the direction, at least a few pixels wide.
     azimuth_deg : clockwise from north; file : for errors. Raises InputError for a place that is
@@ -166,32 +172,37 @@ def fit(
     if min(bad.meter, bad.image) <= 0:
         finding = f"the meter reads {bad.meter:g}, the picture {bad.image:g} ({bad.kind})"
         raise InputError(bad.label, finding, "values above zero", "remove it from the csv")
-    log = np.log(meter / image)
-    centre, weight = _centre(log, u)
-    off = np.abs(log - centre) > np.maximum(3.0 * u, MIN_OUTLIER)
-    far = tuple(r.label for r, is_far in zip(readings, off, strict=True) if is_far)
-    if len(far) > len(log) / 3:  # the picture is wrong and not the readings
-        finding = f"{len(far)} of {len(log)} readings differ from the fitted k by over 10 % and 3 u"
+    log_ratio, n = np.log(meter / image), len(readings)
+    centre, weight = _huber_mean(log_ratio, u)
+    is_outlier = np.abs(log_ratio - centre) > np.maximum(3.0 * u, MIN_OUTLIER)
+    far = tuple(r.label for r, is_far in zip(readings, is_outlier, strict=True) if is_far)
+    if len(far) > len(readings) / 3:  # the picture is wrong and not the readings
+        finding = (
+            f"{len(far)} of {len(readings)} readings differ from the fitted k by over 10 % and 3 u"
+        )
         remedy = "check azimuths (clockwise from north), one unit for all, and steady light"
         raise InputError(source, f"{finding}: {listed(far, 4)}", "at most a third", remedy)
-    scatter = float((weight * (log - centre) ** 2).sum() / max(len(log) - 1, 1))
+    scatter = float((weight * (log_ratio - centre) ** 2).sum() / max(n - 1, 1))
     u_rel = math.hypot(math.sqrt(max(scatter, 1.0) / weight.sum()), meter_u)
     line = "scale: one factor from one reading; no held-out error, which needs two readings"
-    if len(log) > 1:
-        others = [_centre(np.delete(log, i), np.delete(u, i))[0] for i in range(len(log))]
-        rms_percent = 100 * float(np.sqrt(np.mean((log - others) ** 2)))
+    if n > 1:
+        others = [_huber_mean(np.delete(log_ratio, i), np.delete(u, i))[0] for i in range(n)]
+        rms_percent = 100 * float(np.sqrt(np.mean((log_ratio - others) ** 2)))
         line = f"scale: one factor; held-out rms: {rms_percent:.3g} %"
-    return ScaleFit(math.exp(centre), u_rel, np.exp(log - centre) - 1.0, far, line)
+    return ScaleFit(math.exp(centre), u_rel, np.exp(log_ratio - centre) - 1.0, far, line)
 
 
-def _centre(log: Floats, u: Floats) -> tuple[float, Floats]:
-    """Return the Huber mean of log [n] with uncertainties u [n], and the weights that gave it."""
+def _huber_mean(values: Floats, u: Floats) -> tuple[float, Floats]:
+    """Return the Huber mean of values [n] with standard uncertainties u [n], and the weights [n].
+
+    Values over two u from the mean have less weight than 1 / u^2.
+    """
     from scipy.optimize import least_squares
 
-    start = float(np.median(log))
-    solved = least_squares(lambda c: (log - c[0]) / u, start, loss="huber", f_scale=2.0)
-    pull = np.abs(solved.fun)
-    return float(solved.x[0]), np.minimum(1.0, 2.0 / np.maximum(pull, 1e-12)) / u**2
+    start = float(np.median(values))
+    solved = least_squares(lambda mean: (values - mean[0]) / u, start, loss="huber", f_scale=2.0)
+    off = np.abs(solved.fun)  # distances from the mean, in u
+    return float(solved.x[0]), np.minimum(1.0, 2.0 / np.maximum(off, 1e-12)) / u**2
 
 
 def outlier_texts(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list[str]:
@@ -207,8 +218,8 @@ def outlier_texts(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list
 def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
     """Return a warning if the fitted k times the sum of y_from_rgb is not 0.5 to 2, else "".
 
-    Cameras are in this range. path: the csv of readings, for the error. Raises InputError if k also
-    differs from the profile's k by more than a factor of ten, either way.
+    The products of cameras are in this range. path: the csv of readings, for the error. Raises
+    InputError if k also differs from the profile's k by more than a factor of ten, either way.
     """
     level = profile.scale.k * scale_fit.factor * sum(profile.colour.y_from_rgb)
     if 0.5 <= level <= 2.0:
@@ -223,7 +234,7 @@ def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
 
 
 def chart(readings: list[LuminanceReading], fit: ScaleFit) -> Chart:
-    """Return a chart of the meter's readings, and the corrected values of the picture."""
+    """Return a chart of the meter's readings, and of the picture's values after the fit."""
     meter, image = np.array([(r.meter, r.image * fit.factor) for r in readings]).T
     title = f"scale: k times {fit.factor:.4f}, u {100 * fit.u_rel:.1f} %"
     places = [r.place for r in readings if r.place]

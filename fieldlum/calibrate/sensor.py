@@ -27,9 +27,10 @@ from fieldlum.optics.raw import Mosaic, channel_positions, frame_files
 
 
 class PixelDefects(NamedTuple):
-    """Bad pixels (column, row) on the sensor, and the evidence.
+    """The bad pixels of a sensor, and the evidence for them.
 
-    frames : the frames that were read; line : text for the profile.
+    bad_px : column and row of each; frames : the frames that were read; line : text for the
+    profile.
     """
 
     bad_px: tuple[tuple[int, int], ...]
@@ -68,7 +69,7 @@ def find(sources: Sequence[Path], profile: CameraProfile) -> PixelDefects:
 def _deviating(path: Path, profile: CameraProfile) -> Indices:
     """Return the pixels of a dark frame that deviate from the median of their neighbourhood.
 
-    The result are indices into the mosaic [n]. The neighbourhood is the pixel and the eight next to
+    They are flat indices into the mosaic [n]. The neighbourhood is the pixel and the eight next to
     it of the same colour. A pixel deviates if it differs by more than each of these: six times the
     noise, four times the spread of the neighbourhood. Raises InputError if light reached the frame.
     """
@@ -99,16 +100,16 @@ def pixel_chart(defects: PixelDefects) -> Chart:
     return Chart(f"{len(places)} bad pixels", np.zeros(len(places)), places)
 
 
-ORDERS = range(5)
+ORDERS = range(5)  # of the polynomials that are tried
 MIN_TIMES = len(ORDERS) + 1  # the coefficients of the highest order, an offset and one more
-# of the full scale: the frames must reach below the first and above the second; chosen
-LOWEST, HIGHEST = 0.05, 0.8
-_BLACK_DN = 0.2  # uncertainty of a black level [DN]; chosen
-_REPEATS = 5e-4  # relative stability of a lamp over minutes; limits the weight of any frame; chosen
+# shares of the full scale: frames must reach below the first and above the second; chosen
+_DARK_SHARE, _BRIGHT_SHARE = 0.05, 0.8
+_U_BLACK_DN = 0.2  # standard uncertainty of a black level; chosen
+_U_LAMP_REL = 5e-4  # stability of a lamp over minutes; limits the weight of any frame; chosen
 
 
 class Levels(NamedTuple):
-    """Mean raw counts of blocks of each frame, for a fit of linearity.
+    """The mean raw counts of blocks of each frame, to which linearity is fitted.
 
     share: mean counts above black over the full scale, [frames, blocks], NaN where a block is
     saturated or dark; weight: 1 / (relative uncertainty of the share)^2, [frames, blocks]; seconds:
@@ -138,7 +139,7 @@ class LinearityFit(NamedTuple):
 
 
 def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
-    """Read raw frames of one steady scene with many exposure times as means over blocks.
+    """Read raw frames of one steady scene with many exposure times, as means over blocks.
 
     A frame has 8 x 8 blocks for each of R, G1, G2 and B. Raises InputError for a frame that cannot
     be read, is of another camera, or has another aperture or ISO than the first.
@@ -163,12 +164,13 @@ def _blocks(mosaic: Mosaic, profile: CameraProfile) -> Floats:
         cell = mosaic.counts[row::2, column::2].astype(float)
         rows, columns = (n // 8 for n in cell.shape)  # of a block
         blocks = cell[: 8 * rows, : 8 * columns].reshape(8, rows, 8, columns)
-        cut = blocks.transpose(0, 2, 1, 3).reshape(64, -1)
-        mean = cut.mean(axis=1) - black
-        error = np.hypot(cut.std(axis=1) / np.sqrt(cut.shape[1]), _BLACK_DN)
-        good = (cut.max(axis=1) < black + fit_steps.FULL * (top - black)) & (mean > 25 * _BLACK_DN)
+        pixels = blocks.transpose(0, 2, 1, 3).reshape(64, -1)  # [blocks, pixels]
+        mean = pixels.mean(axis=1) - black
+        u_dn = np.hypot(pixels.std(axis=1) / np.sqrt(pixels.shape[1]), _U_BLACK_DN)
+        lowest_dn, clipped_dn = 25 * _U_BLACK_DN, black + fit_steps.CLIPPED_SHARE * (top - black)
+        good = (pixels.max(axis=1) < clipped_dn) & (mean > lowest_dn)
         share = np.where(good, mean, np.nan) / (profile.sensor.white_dn - black)
-        parts.append((share, 1.0 / (_REPEATS**2 + (error / np.maximum(mean, 25 * _BLACK_DN)) ** 2)))
+        parts.append((share, 1.0 / (_U_LAMP_REL**2 + (u_dn / np.maximum(mean, lowest_dn)) ** 2)))
     return np.concatenate(parts, axis=1)
 
 
@@ -180,11 +182,11 @@ def fit(levels: Levels) -> LinearityFit:
     """
     times = np.unique(levels.seconds)
     low, high = np.nanmin(levels.share, initial=1.0), np.nanmax(levels.share, initial=0.0)
-    if len(times) < MIN_TIMES or low > LOWEST or high < HIGHEST:
+    if len(times) < MIN_TIMES or low > _DARK_SHARE or high < _BRIGHT_SHARE:
         raise NotEnoughDataError(
             f"shutter times: {len(times)}, with {100 * low:.0f} to {100 * high:.0f} % of white; "
-            f"expected at least {MIN_TIMES}, with under {100 * LOWEST:.0f} to over "
-            f"{100 * HIGHEST:.0f} %; take more frames of a steady light"
+            f"expected at least {MIN_TIMES}, with under {100 * _DARK_SHARE:.0f} to over "
+            f"{100 * _BRIGHT_SHARE:.0f} %; take more frames of a steady light"
         )
     _, (solution, covariance), choice = fit_steps.fit_and_choose(
         "linearity",
@@ -192,24 +194,24 @@ def fit(levels: Levels) -> LinearityFit:
         np.searchsorted(times, levels.seconds),
         lambda order, rows: _solve(levels, rows, order),
         lambda order, solved, held: _held_out(levels, solved[0], held),
-        negligible=0.04 * _REPEATS,
+        negligible=0.04 * _U_LAMP_REL,
     )
     u_offset = float(np.sqrt(covariance[0, 0]))
-    sure = abs(solution[0]) > 4.0 * u_offset
+    is_sure = abs(solution[0]) > 4.0 * u_offset
     return LinearityFit(
         tuple(round(float(a), 7) for a in solution[1:]),
-        offset_s=float(f"{solution[0]:.4g}") if sure else 0.0,
+        offset_s=float(f"{solution[0]:.4g}") if is_sure else 0.0,
         u_offset_s=u_offset,
-        u_rel=max(round(choice.rms, 5), _REPEATS),
+        u_rel=max(round(choice.rms, 5), _U_LAMP_REL),
         choice=choice,
     )
 
 
 def _residuals(solution: Floats, levels: Levels, fitted: Mask, judged: Mask) -> Floats:
-    """Return ln(corrected light / time), minus each block's mean over the `fitted` frames.
+    """Return ln(corrected light / time) of the judged frames, minus each block's mean, [j, blocks].
 
-    solution: offset of the exposure times [s], then the polynomial's coefficients; fitted, judged:
-    masks of the frames. The result is of the judged frames and of all blocks [j, b].
+    The mean is over the `fitted` frames. solution: offset of the exposure times [s], then the
+    polynomial's coefficients; fitted, judged: masks of the frames, j of which are judged.
     """
     with np.errstate(invalid="ignore"):
         light = np.log(levels.share * linearity_factor(levels.share, tuple(solution[1:])))
@@ -221,9 +223,10 @@ def _residuals(solution: Floats, levels: Levels, fitted: Mask, judged: Mask) -> 
 
 
 def _solve(levels: Levels, rows: Mask, order: int) -> tuple[Floats, Floats]:
-    """Return offset [s] and coefficients by weighted least squares over `rows`, and covariance.
+    """Fit offset [s] and coefficients to the frames `rows`; return them, and their covariance.
 
-    It starts from a linear sensor without an offset. order: of the polynomial.
+    They are found by weighted least squares from a linear sensor without an offset. order: that of
+    the polynomial.
     """
     from scipy.optimize import least_squares
 
@@ -232,6 +235,7 @@ def _solve(levels: Levels, rows: Mask, order: int) -> tuple[Floats, Floats]:
     root = np.sqrt(levels.weight[rows][good])
 
     def misses(x: Floats) -> Floats:
+        """Return the weighted residuals of all good blocks; x: the solution over `scale`."""
         return _residuals(x * scale, levels, rows, rows)[good] * root
 
     lowest = np.r_[-0.5, np.full(order, -np.inf)]  # exposure times must stay above zero
@@ -257,9 +261,10 @@ def _held_out(levels: Levels, solution: Floats, held: Mask) -> Floats:
 
 
 def chart(levels: Levels, fit: LinearityFit) -> Chart:
-    """Return a chart of light over exposure time of each frame and block, and corrected (blue).
+    """Return a chart of light over exposure time, as recorded (red) and after correction (blue).
 
-    Values are relative to the block's mean, over the share of the full scale.
+    It has one value for each frame and block, relative to the block's mean, over the share of the
+    full scale.
     """
     light = levels.share[:, np.isfinite(levels.share).any(axis=0)]  # a block may be full throughout
     corrected = light * linearity_factor(light, fit.coefficients)

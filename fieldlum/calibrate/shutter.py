@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Container, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import groupby, pairwise
+from itertools import chain, compress, groupby, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,15 +31,14 @@ from fieldlum.session import Session
 from fieldlum.session.files.sidecar import FrameQuality, NeighbourQuality, Sidecar
 
 MIN_BRACKETS = 5  # with a pair of times; chosen so that a median is robust
-# largest relative spread of a pair over brackets; a larger one means unsteady light or shutter;
-# chosen
+# relative spread of a pair over brackets, above which light or shutter are unsteady; chosen
 MAX_SPREAD = 0.02
 
 Pair = tuple[float, float]  # nominal times of the longer and the shorter frame [s]
 
 
 class ShutterReading(NamedTuple):
-    """The measured ratio of two neighbouring frames of a bracket.
+    """The measured exposure ratio of two neighbouring frames of a bracket.
 
     pair : nominal times of the longer and of the shorter frame [s]. log_ratio : ln(true / assumed
     exposure) of the shorter frame minus that of the longer one; u_log : standard uncertainty of
@@ -56,10 +55,10 @@ Bracket = Sequence[ShutterReading]
 
 
 class TimeRatio(NamedTuple):
-    """The measured ratio of one pair of shutter times over all brackets.
+    """The measured exposure ratio of one pair of shutter times, over all brackets.
 
-    median : of log_ratio, see `ShutterReading`, over brackets; spread : standard deviation of
-    log_ratio over brackets, without its noise; error : standard error of the median; brackets :
+    median : of log_ratio (see `ShutterReading`); spread : standard deviation of log_ratio over
+    brackets, without the noise of single readings; error : standard error of the median; brackets :
     number of readings of the pair; seconds : median time from the longer to the shorter frame.
     """
 
@@ -119,10 +118,10 @@ def from_session(
 
 
 def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfile:
-    """Return the profile; a shutter law "auto" is replaced by the law of the merged brackets.
+    """Return the profile with the shutter law of the merged brackets if its own is "auto".
 
-    Another law of the profile does not change. sidecars : files of the merged brackets. Raises
-    InputError if the law is "auto" and the brackets were merged with several laws.
+    Another law of the profile remains. sidecars : files of the merged brackets. Raises InputError
+    if the law is "auto" and the brackets were merged with several laws.
     """
     reports = [Sidecar.read(path).report for path in sidecars]
     laws = sorted({report.shutter_law.law for report in reports if report.shutter_law})
@@ -143,6 +142,7 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
     report = sidecar.report
     headings = [list(frames) for _, frames in groupby(report.frames, lambda f: f.heading_deg)]
     neighbours = report.neighbours  # their frames are counted from 0 at each heading
+    # indices of the first pair of each heading
     starts = [i for i, n in enumerate(neighbours) if not i or n.long <= neighbours[i - 1].long]
     runs = [neighbours[first:end] for first, end in pairwise([*starts, len(neighbours)])]
     if len(runs) != len(headings):
@@ -178,9 +178,9 @@ def _reading(
 
 
 def pool(brackets: Sequence[Bracket], drift: bool = True) -> dict[Pair, TimeRatio]:
-    """Return the ratio of each pair of shutter times over all brackets, by the pair.
+    """Return the exposure ratio of each pair of shutter times over all brackets, by the pair.
 
-    drift : first remove the drift of the light, a line over time, from each bracket.
+    drift : whether to remove the drift of the light, a line over time, from each bracket first.
     """
     logs: dict[Pair, list[tuple[float, float, float]]] = defaultdict(list)
     first = pool(brackets, drift=False) if drift else {}
@@ -192,22 +192,22 @@ def pool(brackets: Sequence[Bracket], drift: bool = True) -> dict[Pair, TimeRati
 
 
 def _pair_ratio(values: Floats) -> TimeRatio:
-    """Return the ratio of a pair; values [3, brackets] : log ratio, its u, seconds."""
+    """Return the ratio of a pair of times; values [3, brackets] : log_ratio, its u, seconds."""
     median, noise, seconds = np.median(values, axis=1).tolist()
-    apart, n = robust_sigma(values[0]), values.shape[1]
+    sigma, n = robust_sigma(values[0]), values.shape[1]
     return TimeRatio(
         median=median,
-        spread=math.sqrt(max(apart**2 - noise**2, 0.0)),
-        error=math.hypot(median_standard_error(max(apart, noise), n), U_FRAME_RATIO),
+        spread=math.sqrt(max(sigma**2 - noise**2, 0.0)),
+        error=math.hypot(median_standard_error(max(sigma, noise), n), U_FRAME_RATIO),
         brackets=n,
         seconds=seconds,
     )
 
 
 def _drift_per_s(bracket: Bracket, pooled: dict[Pair, TimeRatio]) -> float:
-    """Return the relative change of the light in one bracket [1/s].
+    """Return the relative change of the light in one bracket over time [1/s].
 
-    It is fitted to the differences from the pooled pairs; 0 if these are too few.
+    It is a line through the differences from the pooled ratios; 0 for fewer than three of them.
     """
     rows = [(r.seconds, r.log_ratio - pooled[r.pair].median, r.u_log) for r in bracket if r.seconds]
     if len(rows) < 3:
@@ -226,16 +226,17 @@ def fit(brackets: Sequence[Bracket], profile: CameraProfile) -> ShutterFit:
     """
     require_raw(profile, "calibrate only the response: it and the times cannot both be fitted")
     pooled = pool(brackets)
-    why = {pair: _why_not(pair, ratio) for pair, ratio in pooled.items()}
-    left_out = tuple(text for text in why.values() if text)
-    steady = {pair: pooled[pair] for pair, text in why.items() if not text}
+    reasons = {pair: _reason_to_omit(pair, ratio) for pair, ratio in pooled.items()}
+    left_out = tuple(text for text in reasons.values() if text)
+    steady = {pair: pooled[pair] for pair, text in reasons.items() if not text}
     if not steady:
         raise NotEnoughDataError(
             f"shutter: no ratio of two shutter times agrees in {MIN_BRACKETS} brackets or more: "
             f"{'; '.join(left_out) or 'no frames overlap'}; capture more brackets in steady light"
         )
-    assumed, fitted = _held_out(brackets, steady)
-    choice = choose("shutter", [("times as assumed", 0, assumed), ("table", len(steady), fitted)])
+    of_assumed, of_fitted = _held_out_errors(brackets, steady)
+    table = ("table", len(steady), of_fitted)
+    choice = choose("shutter", [("times as assumed", 0, of_assumed), table])
     if choice.index == 0:
         raise NotEnoughDataError(f"{choice.line}; expected better times; keep the profile")
     nominal = sorted({time for pair in steady for time in pair}, reverse=True)
@@ -246,16 +247,16 @@ def fit(brackets: Sequence[Bracket], profile: CameraProfile) -> ShutterFit:
     delta, u = _times_at_common_level(steady, nominal, np.array(u_assumed), u_drift_per_s)
     times, counts = [], []
     for k, time in enumerate(nominal):
-        mine = [ratio for pair, ratio in steady.items() if time in pair]
-        u_rel = math.hypot(u[k], min(ratio.spread for ratio in mine))
+        of_time = [ratio for pair, ratio in steady.items() if time in pair]
+        u_rel = math.hypot(u[k], min(ratio.spread for ratio in of_time))
         true_s = float(f"{assumed_s[k] * math.exp(delta[k]):.7g}")
         times.append(ShutterTime(time, true_s, round(max(u_rel, U_FRAME_RATIO), 6)))
-        counts.append(max(ratio.brackets for ratio in mine))
+        counts.append(max(ratio.brackets for ratio in of_time))
     return ShutterFit(tuple(times), assumed_s, tuple(counts), left_out, choice.line)
 
 
-def _why_not(pair: Pair, ratio: TimeRatio) -> str:
-    """Return why a pair of times is not used, "" if it is."""
+def _reason_to_omit(pair: Pair, ratio: TimeRatio) -> str:
+    """Return a text on why a pair of times is not used; "" for a pair that is used."""
     what = f"{shutter_text(pair[0])} to {shutter_text(pair[1])} s"
     if ratio.brackets < MIN_BRACKETS:
         return f"{what}: brackets with both times: {ratio.brackets}, needed: {MIN_BRACKETS}"
@@ -265,17 +266,17 @@ def _why_not(pair: Pair, ratio: TimeRatio) -> str:
     return f"{what}: {varies}: the light or the shutter is unsteady"
 
 
-def _held_out(brackets: Sequence[Bracket], pairs: Container[Pair]) -> Floats:
-    """Return squared errors [2, n] of the ratios of held-out brackets.
+def _held_out_errors(brackets: Sequence[Bracket], pairs: Container[Pair]) -> Floats:
+    """Return the squared errors of n ratios in held-out brackets, [2, n].
 
     The first row has the errors of the assumed times, the second those of a fit to the other
-    brackets. pairs: of times that count.
+    brackets. pairs: the pairs of times that count.
     """
     errors = []
-    for out in folds(np.arange(len(brackets))):
-        fitted = pool([brackets[i] for i in np.flatnonzero(~out).tolist()])
-        held = [r for i in np.flatnonzero(out).tolist() for r in brackets[i]]
-        usable = [r for r in held if r.pair in pairs and r.pair in fitted]
+    for held_out in folds(np.arange(len(brackets))):
+        fitted = pool(list(compress(brackets, ~held_out)))
+        readings = chain.from_iterable(compress(brackets, held_out))
+        usable = [r for r in readings if r.pair in pairs and r.pair in fitted]
         errors += [(r.log_ratio**2, (r.log_ratio - fitted[r.pair].median) ** 2) for r in usable]
     return np.array(errors).T
 
@@ -283,12 +284,12 @@ def _held_out(brackets: Sequence[Bracket], pairs: Container[Pair]) -> Floats:
 def _times_at_common_level(
     ratios: dict[Pair, TimeRatio], nominal: Sequence[float], u_prior: Floats, u_drift_per_s: float
 ) -> tuple[Floats, Floats]:
-    """Return ln of true over assumed time [n], and its u.
+    """Return ln of true over assumed time, and its standard uncertainty, [n] each.
 
-    ratios: measured, by pair of a longer and a shorter time; nominal: the n times [s]; u_prior:
-    relative standard uncertainty of each before the measurement [n]. The uncertainty is relative to
-    the common level, which is part of k. u_drift_per_s : of a drift that all brackets have in
-    common, which cannot be separated from an error of the shutter.
+    The uncertainty is relative to the common level of all times, which is part of k. ratios: the
+    measured ratio of each pair of times; nominal: the n times [s]; u_prior [n]: relative standard
+    uncertainty of each before the measurement; u_drift_per_s: that of a drift which all brackets
+    have in common, so that it cannot be separated from an error of the shutter.
     """
     long = np.array([nominal.index(pair[0]) for pair in ratios])
     short = np.array([nominal.index(pair[1]) for pair in ratios])

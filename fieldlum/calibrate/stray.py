@@ -84,32 +84,33 @@ def reading(picture: Panorama, profile: CameraProfile, row: fit_steps.CsvRow) ->
     InputError for a place that is clipped, outside the lens or not brighter than in reality.
     """
     height, width = picture.luminance_cdm2.shape
-    at_deg, true_cdm2 = (row["azimuth_deg"], row["altitude_deg"]), row["luminance_cdm2"]
+    place = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])
     light = np.nan_to_num(np.asarray(picture.luminance_cdm2, float)).ravel()
-    disc = fit_steps.pixels_within(picture, *at_deg, row["radius_deg"])
+    disc = fit_steps.pixels_within(picture, place.x, place.y, row["radius_deg"])
+    true_cdm2 = row["luminance_cdm2"]
     stray = float(light[disc.ravel()].mean()) - true_cdm2
-    wrong = {
+    faults = {
         "outside the lens's field": fit_steps.is_flagged(picture, disc, Flag.OUTSIDE_LENS),
         "clipped (too bright)": fit_steps.is_flagged(picture, disc, Flag.CLIPPED_HIGH),
         f"{stray + true_cdm2:.3g} cd/m2, not more than its true {true_cdm2:g} cd/m2": stray <= 0,
     }
-    for what in (text for text, is_so in wrong.items() if is_so):
-        finding = f"the dark place at {at_deg[0]:g}/{at_deg[1]:g} deg is {what}"
+    for fault in (text for text, is_so in faults.items() if is_so):
+        finding = f"the dark place at {place.x:g}/{place.y:g} deg is {fault}"
         expected = "an unclipped place inside the field, brighter than in reality by stray light"
-        raise InputError(row["panorama"], finding, expected, "correct or remove its row of the csv")
+        raise InputError(place.path, finding, expected, "correct or remove its row of the csv")
     rays = equirect_rays(height, width, picture.heading_deg).reshape(-1, 3)
     flux = np.where(disc.ravel(), 0.0, light * equirect_solid_angles(height, width).ravel())
     if picture.sun is not None:
         source = direction(picture.sun.altitude_deg, picture.sun.azimuth_deg)
         rays = np.concatenate([rays, source[None]])
         flux = np.append(flux, picture.sun.normal_illuminance_lx)
-    toward, heading_deg = direction(at_deg[1], at_deg[0]), picture.heading_deg
+    ray, heading_deg = direction(place.y, place.x), picture.heading_deg
     axes = [direction(lens.tilt_deg, heading_deg + lens.azimuth_deg) for lens in profile.lens]
-    nearest = int(np.argmax([axis @ toward for axis in axes]))
-    use = (rays @ axes[nearest] >= np.cos(profile.lens[nearest].half_angle_rad)) & (flux > 0)
-    away = np.arccos(np.clip(rays[use] @ toward, -1.0, 1.0))
-    place = Place(row["panorama"], at_deg[0], at_deg[1])
-    return StrayReading(place, stray, away, flux[use])
+    nearest = int(np.argmax([axis @ ray for axis in axes]))
+    in_field = rays @ axes[nearest] >= np.cos(profile.lens[nearest].half_angle_rad)
+    lit = in_field & (flux > 0)
+    angle_rad = np.arccos(np.clip(rays[lit] @ ray, -1.0, 1.0))
+    return StrayReading(place, stray, angle_rad, flux[lit])
 
 
 def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> StrayFit:
@@ -144,17 +145,23 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
 
 
 def _design(readings: Sequence[StrayReading], nodes: tuple[float, ...]) -> Floats:
-    """Return the stray light of each reading for each node alone, [readings, nodes].
+    """Return the stray light of each reading by a kernel for each node, [readings, nodes].
 
-    The kernel is then 1 at that node and 0 at the others.
+    The kernel of a node is 1 / sr there and 0 at the other nodes; nodes: angles [deg].
     """
-    at, unit = np.asarray(nodes), np.eye(len(nodes))
-    columns = [[kernel_per_sr(r.angle_rad, at, hat) @ r.flux for hat in unit] for r in readings]
-    return np.array(columns, float)
+    at, kernels = np.asarray(nodes), np.eye(len(nodes))
+    rows = [
+        [kernel_per_sr(r.angle_rad, at, kernel) @ r.flux for kernel in kernels] for r in readings
+    ]
+    return np.array(rows, float)
 
 
 def _falling(design: Floats, stray: Floats) -> Floats:
-    """Return K at the nodes by relative least squares, with K >= 0 and falling with the angle."""
+    """Return the kernel K at the nodes, [nodes] in 1/sr, that fits the stray light of n readings.
+
+    K is at least 0 and falls with the angle; the fit is by relative least squares. design: result
+    of `_design`.
+    """
     from scipy.optimize import nnls
 
     steps = np.triu(np.ones((design.shape[1],) * 2))  # K_i is the sum of all steps from i on
@@ -174,7 +181,7 @@ def total_share(nodes_deg: Sequence[float], values_per_sr: Floats) -> float:
 
 
 def chart(readings: Sequence[StrayReading], fit: StrayFit) -> Chart:
-    """Return a chart of the recorded stray light of each reading, and that of the kernel."""
+    """Return a chart of the stray light of each reading, as recorded and by the kernel."""
     recorded = np.array([r.stray_cdm2 for r in readings])
     title = f"Stray light: {100 * fit.total_share:.2g} % of a source's light is spread"
     off, places = recorded / fit.predicted_cdm2 - 1.0, [r.place for r in readings]

@@ -1,6 +1,6 @@
 """Fit vignetting by an even polynomial that falls towards the edge.
 
-Its order is the smallest that the readings support.
+The order of the polynomial is the smallest that the readings support.
 """
 
 from collections.abc import Sequence
@@ -21,19 +21,20 @@ from fieldlum.optics.camera_curves import check_vignetting, vignetting_at
 from fieldlum.optics.profiles import CameraProfile, Lens, Vignetting
 from fieldlum.optics.projection import angle_of_radius, relative_radius
 
-# of the even polynomials that are tried; chosen, held-out readings select one
+# orders of the even polynomials that are tried; chosen, held-out readings select one
 ORDERS = (0, 2, 4, 6, 8)
-# Relative error of a reading that is no noise: of a gross error whose neighbours agree, and of a
-# rise to the edge, which is a wrong sign. Chosen, not measured.
+# Relative error that noise does not explain: a reading further from its neighbours is a gross
+# error, and a larger rise towards the edge a wrong sign. Chosen, not measured.
 MAX_ERROR = 0.03
 
 
 class Samples(NamedTuple):
-    """Readings [n] of one aperture and lens.
+    """The n readings of one lens at one aperture.
 
-    r : angle from the axis over half of the lens's full angle; value : in any linear unit; u_rel :
-    relative uncertainty of the value; lens : index of the lens in the profile; frames : files.
-    Readings of equal angle are held out together. places : of the readings, if they are patches.
+    r [n] : angle from the axis over half of the lens's full angle; value [n] : light in any linear
+    unit; u_rel [n] : relative uncertainty of the value; lens : index of the lens in the profile;
+    frames : files. Readings of equal angle are held out together. places : of the readings, if they
+    are patches.
     """
 
     r: Array
@@ -65,12 +66,13 @@ class VignettingFit(NamedTuple):
 
 
 def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
-    """Read readings from a csv with angle_deg and value, or of one patch in many frames.
+    """Read a csv of readings at angles from the axis, or of places of one patch in many frames.
 
-    The second form has the columns file, x_px and y_px. Optional columns: reference (a meter's
-    reading at that time, which corrects the drift of a lamp); u_rel and f_number in the first form;
-    radius_px of the patch (default 12) in the second. lens : index for the first form; the second
-    has the lens that shows the first patch. Raises InputError for other columns or values.
+    The first form has the columns angle_deg and value, the second file, x_px and y_px. Optional
+    columns: reference (a meter's reading at that time, which corrects the drift of a lamp); u_rel
+    and f_number in the first form; radius_px of the patch (default 12) in the second. lens : index
+    for the first form; the second has the lens that shows the first patch. Raises InputError for
+    other columns or values.
     """
     if "angle_deg" not in fit_steps.columns_of(path):
         return _from_patches(path, profile)
@@ -85,7 +87,7 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
 
 
 def _from_patches(path: Path, profile: CameraProfile) -> Samples:
-    """Return the samples of a csv: places of equal light, or of known ratio (column reference)."""
+    """Read a csv of the places of one patch in frames: file, x_px, y_px; see `from_table`."""
     optional = {"radius_px": 12.0, "reference": 1.0}
     rows = fit_steps.read_table(path, ("file", "x_px", "y_px"), optional)
     weights = np.array(profile.colour.y_from_rgb)
@@ -139,9 +141,10 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
 
 
 def _rings(r: Array, value: Array, good: Mask) -> list[tuple[float, float, float]]:
-    """Return the middle r, the median and its relative u of each ring with 20 good pixels.
+    """Return r in the middle, median luminance and its relative u, for each of 60 rings.
 
-    r: angle over half of the full angle; value: luminance; both for all pixels.
+    r, value, good [h, w]: angle over half of the full angle, luminance, and whether the pixel
+    counts. Rings with fewer than 20 good pixels are omitted.
     """
     ring, rings = np.minimum((r * 60).astype(int), 59), []
     for number in range(60):
@@ -158,15 +161,16 @@ def _rings(r: Array, value: Array, good: Mask) -> list[tuple[float, float, float
 
 
 def _design(r: Array, order: int) -> Array:
+    """Return the even powers r^0, r^2 ... r^order of each of n angles, [n, powers]."""
     return np.stack([r**power for power in range(0, order + 1, 2)], axis=1)
 
 
 def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
-    """Fit level * V(r) in even powers of r by least squares, with V' <= 0 up to the edge.
+    """Return the coefficients of 1, r^2, r^4 ... r^order that fit readings and fall to the edge.
 
-    r: angle over half of the full angle [n]; value, u_rel: readings and their relative standard
-    uncertainty [n]; order: highest power. Return the coefficients of 1, r^2, r^4 ..., with the
-    level.
+    The fit is by least squares, with a slope of at most 0 up to r = 1. r: angle over half of the
+    full angle [n]; value, u_rel: readings and their relative standard uncertainty [n]. The first
+    coefficient is the readings' value on the axis.
     """
     scale = float(np.median(value))
     design, right = _design(r, order) / (u_rel * value / scale)[:, None], 1.0 / u_rel
@@ -193,7 +197,7 @@ def fit(samples: Samples) -> VignettingFit:
     used = ~_contradicting(samples)
     r, value, u = samples.r[used], samples.value[used], samples.u_rel[used]
     axis, change = np.polynomial.polynomial.polyfit(r**2, value, 1, w=1.0 / (u * value))
-    if (rise := float(change / axis)) > MAX_ERROR:  # a common error: corrections, not losses
+    if (rise := float(change / axis)) > MAX_ERROR:  # such as correction factors
         finding = f"the readings rise by {100 * rise:.0f} % from the axis to the edge"
         remedy = "state readings, not correction factors"
         raise InputError(samples.frames[0], finding, "a loss towards the edge", remedy)
@@ -236,11 +240,11 @@ def _check(samples: Samples) -> None:
 
 
 def _contradicting(samples: Samples) -> Mask:
-    """Return a mask [n] of readings that contradict their neighbours.
+    """Return a mask [n], True for readings that contradict their neighbours.
 
-    A shadow or a blinking lamp causes such readings. A reading is compared only if its neighbours
-    are near the curve. At a steep rim several neighbouring readings are far from the curve: all of
-    them are used.
+    A shadow or a blinking lamp causes such readings: they are far from a smooth curve, and their
+    neighbours are near it. At a steep rim several neighbouring readings are far from the curve; all
+    of them are used.
     """
     r, scaled = samples.r, samples.value / np.median(samples.value)
     design = _design(r, 4 if len(r) < 12 else 6)

@@ -287,14 +287,13 @@ def write_budgets(path: Path, budgets: Iterable[tuple[str, Budget]]) -> None:
     budgets: name of the file that a budget is of, and the budget.
     """
     rows: list[tuple[object, ...]] = []
-    for name, budget in budgets:
-        place = (name, budget.figure, f"{budget.azimuth_deg:g}")
-        head = (*place, f"{budget.estimate:.6g}", budget.unit)
-        for s in budget.sources:
-            share = 100 * s.contribution**2 / max(budget.u**2, 1e-300)
+    for file, each in budgets:
+        head = (file, each.figure, f"{each.azimuth_deg:g}", f"{each.estimate:.6g}", each.unit)
+        for s in each.sources:
+            share = 100 * s.contribution**2 / max(each.u**2, 1e-300)
             figures = (s.u, s.unit, s.contribution / max(s.u, 1e-300), s.contribution, share)
             rows.append((*head, s.name, s.kind, s.distribution, *figures, s.shared_by))
-        rows.append((*head, "combined", "", _NORMAL, "", "", "", budget.u, "100", ""))
+        rows.append((*head, "combined", "", _NORMAL, "", "", "", each.u, "100", ""))
     write_csv(path, (dict(zip(COLUMNS, row, strict=True)) for row in rows), COLUMNS, digits=4)
 
 

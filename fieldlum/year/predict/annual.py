@@ -106,7 +106,7 @@ class Annual(HourlyFile):
 
     @property
     def judged(self) -> Mask:
-        """Mask [d], True for directions that have a DGP because lenses saw at least half of them."""
+        """Mask [d], True for directions with a DGP, of which lenses saw at least half."""
         return np.asarray(np.isfinite(self.views["dgp"]).any(axis=0))
 
 

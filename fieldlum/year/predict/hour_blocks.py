@@ -252,10 +252,10 @@ def finish_maps(folder: Path, annual: Annual, room: ModelRoom) -> None:
         attrs={"heading_deg": room.heading_deg, "site": room.setup.site.name},
     )
     time = {"time": {"units": "seconds since 1970-01-01", "dtype": "int64"}}
-    draft, final = folder / DRAFT_FOLDER, folder / MAPS_FOLDER
+    draft = folder / DRAFT_FOLDER
     hours.to_zarr(draft, mode="a", zarr_format=3, consolidated=False, encoding=time)
-    shutil.rmtree(final, ignore_errors=True)
-    draft.rename(final)
+    shutil.rmtree(folder / MAPS_FOLDER, ignore_errors=True)
+    draft.rename(folder / MAPS_FOLDER)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -84,7 +84,7 @@ class MelanopicYear:
         return np.minimum(sun, 1.0 - lamp), lamp
 
     def ratio(self, light: Light) -> Floats:
-        """Return the ratio of melanopic to photopic light in n hours, [n, d], without `LAMP_RATIO`."""
+        """Return the ratio of melanopic to photopic light in n hours by their colour, [n, d]."""
         return _parts(light, *self.shares(light)) @ self.weights * self.factors
 
     def figures(
@@ -235,8 +235,7 @@ def year_of_captures(
             rows, u_rel = [*rows, row], max(u_rel, colour[1])
     if not rows:
         raise NotEnoughDataError(f"{pairs}: no picture has melanopic colour; merge them again")
-    dni = np.array([row.dni_wm2 for row in rows])
-    dhi = np.array([row.dhi_wm2 for row in rows])
+    dni, dhi = np.array([(row.dni_wm2, row.dhi_wm2) for row in rows]).T
     light = light_at([row.t_utc for row in rows], room.setup.site, dni, dhi)
     light = replace(light, states=states_of(pairs, rows))
     ev_lx, edi_lx = np.moveaxis(np.array(eye_lx), 1, 0)

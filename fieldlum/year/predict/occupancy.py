@@ -59,14 +59,16 @@ def default_occupancy() -> Occupancy:
     return Occupancy("08:00 to 18:00 every day", periods)
 
 
-def read_occupancy(path: Path) -> Occupancy:
-    """Read a csv of when the room is used.
+def read_occupancy(path: Path | None) -> Occupancy:
+    """Read a csv of when the room is used; None gives `default_occupancy`.
 
     Its columns are days, start and end (mon-fri,08:00,18:00), or it has a column `occupied` with
     8760 rows of 0 or 1, for the hours of local standard time from 1 January 00:00.
 
     Raises InputError for a file that cannot be read, or for other content.
     """
+    if path is None:
+        return default_occupancy()
     table = read_table(path, EXPECTED, "write a line of column names and its rows")
     if "occupied" in table.names:
         return _hourly(path, table.rows, table.names.index("occupied"))

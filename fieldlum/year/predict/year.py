@@ -43,12 +43,7 @@ from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, protect
 from fieldlum.year.predict import hour_blocks, melanopic
 from fieldlum.year.predict.annual import Annual, Pictures, read_annual, write_pictures
 from fieldlum.year.predict.hour_blocks import HourFigures, ModelRoom
-from fieldlum.year.predict.occupancy import (
-    Occupancy,
-    default_occupancy,
-    occupied_hours,
-    read_occupancy,
-)
+from fieldlum.year.predict.occupancy import Occupancy, occupied_hours, read_occupancy
 
 
 class PredictedYear(NamedTuple):
@@ -95,8 +90,7 @@ def run(
         remedy = "merge, pair and train again, or use the model that was trained on this session"
         raise InputError(model_folder, f"a model {of_model}", expected, remedy)
     folder = out or default_folder(model_folder)
-    occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
-    lit = None
+    occupancy, lit = read_occupancy(occupancy_path), None
     if lamps:
         lit = Occupancy("off") if lamps == "off" else read_occupancy(Path(lamps))
     pairs = session.pairs if session is not None and melanopic.has_colour(session.pairs) else None
