@@ -15,7 +15,7 @@ import csv
 from pathlib import Path
 from typing import Any
 
-from fieldlum.bench import machine, markdown, speed_accuracy
+from fieldlum.bench import markdown, speed_accuracy
 from fieldlum.bench.score_rows import parse_specs, score_row, without_training_hours
 from fieldlum.learn.models.scores import truth
 from fieldlum.learn.models.training_data import load_pairs
@@ -89,9 +89,7 @@ def _draw(path: Path) -> None:
     rows = [row | {key: float(row[key] or "nan") for key in figures} for row in stored]
     for name in dict.fromkeys(row["set"] for row in rows):
         speed_accuracy(
-            path.with_name(f"{path.stem}_{name}.png"),
-            [r for r in rows if r["set"] == name],
-            machine(),
+            path.with_name(f"{path.stem}_{name}.png"), [r for r in rows if r["set"] == name]
         )
 
 

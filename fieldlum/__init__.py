@@ -35,7 +35,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load a name of the API (PEP 562)."""
+    """Return a name of the API, loaded at its first use (PEP 562)."""
     if name not in __all__:
         raise AttributeError(f"module 'fieldlum' has no attribute '{name}'")
     from fieldlum import api, version
@@ -44,4 +44,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
+    """Return the names of the API, for completion."""
     return sorted(__all__)

@@ -26,7 +26,7 @@ from fieldlum.session.files.model_files import TrainAnswer
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.journal import EventFields
 from fieldlum.session.site_toml import load_site
-from fieldlum.year.predict import Annual
+from fieldlum.year import predict
 
 MODEL = "auto"
 CAMERA = "sim-dual-fisheye-colour"
@@ -34,8 +34,8 @@ WEATHER = "seattle_dni_dhi.csv"
 YEAR = 2027  # of the simulated captures; chosen
 
 
-# Rows of the panoramas [px], which are twice as wide; quality of the truth; minutes in which the
-# network is trained: in two it does not see each pixel once.
+# Height of the panoramas [px] (they are twice as wide), quality of the rendering, and minutes of
+# training for the dense network. In two minutes it would not see each pixel once: quick skips it.
 PRESETS = {"quick": (115, "quick", 0.0), "paper": (230, "paper", 30.0)}
 
 
@@ -53,9 +53,9 @@ class Outcome:
 
 
 def prepare(folder: Path) -> Session:
-    """Open the session in `folder`; if there is none, plan nine days in the shipped office.
+    """Return the session in `folder`; if there is none, plan nine days in the shipped office.
 
-    Raises InputError for a session of another site: simulated frames would enter it.
+    Raises InputError for a session of another site, to which simulated frames would be added.
     """
     from fieldlum import plan
 
@@ -64,19 +64,17 @@ def prepare(folder: Path) -> Session:
         if open_session(folder).site_file().site != setup.site:
             raise InputError(folder, "a session of another site", "a new folder", "name one")
         return open_session(folder)
-    # Nothing is assumed about a real camera: the simulated one is calibrated, for colour too.
+    # The simulated camera is calibrated, for colour too, so that no setting is only assumed.
     setup = replace(setup, camera=replace(setup.camera, profile=CAMERA, assumed=()))
     session, _ = plan.run(setup, plan.Request("9-day", today=date(YEAR, 1, 1)), folder)
     return session
 
 
-def capture(
-    session: Session, seed: int, completed: Callable[[str], object] = lambda slot: None
-) -> None:
+def capture(session: Session, completed: Callable[[str], object] = lambda slot: None) -> None:
     """Capture all due slots with a simulated camera and pyranometer.
 
-    The clock jumps from slot to slot, so that nothing waits. seed: of the simulated noise.
-    completed: called with each slot whose bracket is complete.
+    The clock jumps from slot to slot, so that nothing waits.
+    completed: called with the name of each slot as soon as its bracket is complete.
     """
     from fieldlum import capture as stage
     from fieldlum.capture.bracket import FrameChecks
@@ -84,24 +82,26 @@ def capture(
     from fieldlum.capture.runner import Live
 
     def watch(live: Live) -> None:
+        """Show the progress of the capture."""
         progress(live.done, live.planned, live.next_slot)
 
     def listen(event: str, t_utc: datetime, fields: EventFields) -> None:
+        """Report a complete bracket to `completed`."""
         if event == "done":
             completed(fields["slot"])
 
     clock, options = stage.prepare(session, fast=True)
-    place = f"sim:office?seed={seed}"
-    how = {"clock": clock, "options": options, "watch": watch, "listen": listen}
-    stage.run(session, place, place, **how, checks=FrameChecks(compare_exif))
+    device_uri = "sim:office?seed=1"  # both the camera and the pyranometer; seed of their noise
+    settings = {"clock": clock, "options": options, "watch": watch, "listen": listen}
+    stage.run(session, device_uri, device_uri, **settings, checks=FrameChecks(compare_exif))
 
 
 def merged_against_truth(session: Session) -> tuple[float, float, int]:
-    """Compare merged panoramas with their rendered truth, over unflagged pixels.
+    """Return the error of merged panoramas against their rendered truth, over unflagged pixels.
 
-    Return the median absolute relative error (median of the maps' medians), the mean share of
-    pixels within 5 %, both as fractions, and the number of maps. Maps without a truth are skipped,
-    and pixels with a truth of 0.
+    The three values are the median absolute relative error (median of the maps' medians), the mean
+    share of pixels within 5 %, both as fractions, and the number of maps. Maps without a truth are
+    skipped, and pixels with a truth of 0.
     """
     from fieldlum.optics.images import read_panorama
 
@@ -112,9 +112,8 @@ def merged_against_truth(session: Session) -> tuple[float, float, int]:
             continue
         merged, truth = read_panorama(path), read_panorama(truth_path)
         flags = 0 if merged.flags is None else merged.flags
-        good = np.broadcast_to(flags == 0, merged.luminance_cdm2.shape)
-        good = good & (truth.luminance_cdm2 > 0)
-        error = np.abs(merged.luminance_cdm2[good] / truth.luminance_cdm2[good] - 1.0)
+        used = (flags == 0) & (truth.luminance_cdm2 > 0)
+        error = np.abs(merged.luminance_cdm2[used] / truth.luminance_cdm2[used] - 1.0)
         medians.append(float(np.median(error)))
         within.append(float((error < 0.05).mean()))
     return float(np.median(medians)), float(np.mean(within)), len(medians)
@@ -123,34 +122,36 @@ def merged_against_truth(session: Session) -> tuple[float, float, int]:
 def irradiance_against_truth(session: Session) -> tuple[float, float]:
     """Return the rms errors of DNI and of DHI in pairs.csv against the simulated truth [W/m2].
 
-    Only usable rows with the sun above 10 degrees count.
+    Only usable rows with the sun above 10 degrees count, whose hour is in the truth.
     """
     truth = CleanIrradiance.read_truth(session.truth_irradiance)
-    rows_of_hours = {int(t // 3600): k for k, t in enumerate(truth.t_unix_s)}
+    index_of_hour = {int(t // 3600): k for k, t in enumerate(truth.t_unix_s)}  # hours since 1970
     errors = [
         (row.dni_wm2 - truth.dni_wm2[k], row.dhi_wm2 - truth.dhi_wm2[k])
         for row in PairsFile.read(session.pairs).usable
         if row.sun_altitude_deg > 10
-        and (k := rows_of_hours.get(int(row.t_utc.timestamp() // 3600))) is not None
+        and (k := index_of_hour.get(int(row.t_utc.timestamp() // 3600))) is not None
     ]
     dni, dhi = np.sqrt(np.mean(np.square(errors), axis=0))
     return float(dni), float(dhi)
 
 
 def _figures(
-    session: Session, scores: TrainAnswer, annual: Annual
+    session: Session, scores: TrainAnswer, annual: predict.Annual
 ) -> tuple[tuple[str, str, str], ...]:
-    """Return the figures of the demo: name, value with unit, and what it is."""
+    """Return the rows that the demo prints: name of a figure, its value with unit, and a remark.
+
+    scores: of training; annual: the predicted year.
+    """
     from fieldlum.learn import models
-    from fieldlum.year import predict
 
     median, within, maps = merged_against_truth(session)
     dni, dhi = irradiance_against_truth(session)
     captures = len(models.read_config(session.models / MODEL).training.slots)
     chosen = next(row for row in scores["models"] if row["name"] == scores["chosen"])
-    ends = predict.best_and_worst(annual.summary.protection)
-    assert ends is not None  # the demo's lenses see every direction
-    best, size = ends[0], f"{annual.summary.width} x {annual.summary.height}"
+    directions = predict.best_and_worst(annual.summary.protection)
+    assert directions is not None  # the demo's lenses see every direction
+    best, size = directions[0], f"{annual.summary.width} x {annual.summary.height}"
     fitted = f"fitted in {scores['final_fit_s']:.1f} s to all {captures} captures"
     of_truth = f"median error against the truth, {maps} brackets"
     irradiance = f"{dni:.1f}, {dhi:.1f} W/m²"
@@ -179,14 +180,14 @@ def run(
 
     preset: a name in `PRESETS`. weather: a weather file; None: the shipped Seattle year. show:
     called with the name of each stage, returns a context manager that shows its progress.
-    workers: number of processes. Results that are already in `folder` are used again.
+    workers: number of processes; from two, brackets are merged while later ones are captured.
+    Results that are already in `folder` are used again.
     """
     from fieldlum import merge, pair, report
     from fieldlum.learn import train
     from fieldlum.learn.models.training_data import load_pairs
     from fieldlum.pair import irradiance
     from fieldlum.room import simulate
-    from fieldlum.year import predict
 
     height, quality, budget_min = PRESETS[preset]
     weather, pool = weather or shipped("capture_plans") / WEATHER, Scheduler(workers)
@@ -194,21 +195,22 @@ def run(
 
     @contextmanager
     def stage(name: str) -> Iterator[None]:
-        started = time.monotonic()
+        """Show the progress of a stage in a `with` block, and store its duration."""
+        started_s = time.monotonic()
         with show(name):
             yield
-        seconds[name] = round(time.monotonic() - started, 1)
+        seconds[name] = round(time.monotonic() - started_s, 1)
 
     with stage("plan"):
         session = prepare(folder)
     year, model = simulate.weather_for(session.site_file(), weather), session.models / MODEL
     with stage("render the room"):
-        how = {"height": height, "quality": quality, "workers": workers}
-        simulate.run(session, year, **how, coloured=True)
+        rendering = {"height": height, "quality": quality, "workers": workers}
+        simulate.run(session, year, **rendering, coloured=True)
     size = merge.MergeOptions(height=height)
     early = merge.merging(session, size) if workers > 1 else nullcontext(lambda slot: None)
     with stage("capture"), early as merge_slot:
-        capture(session, 1, merge_slot)
+        capture(session, merge_slot)
     with stage("merge"):
         merge.run(session, size, scheduler=pool)
     with stage("pair"):

@@ -72,7 +72,7 @@ def run_chain(root: Path) -> Session:
     weather = shipped("capture_plans") / demo.WEATHER
     year = simulate.weather_for(session.site_file(), weather)
     simulate.run(session, year, height=HEIGHT, quality="draft", workers=1)
-    demo.capture(session, 1)
+    demo.capture(session)
     merge.run(session, merge.MergeOptions(height=HEIGHT))
     irradiance.run(session)
     pair.run(session)

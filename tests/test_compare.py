@@ -31,12 +31,12 @@ from fieldlum.optics.images import (
     write_radiance_hdr,
 )
 from fieldlum.report.compare import (
-    _of_surfaces,
-    _where,
     compare,
     hours_begun,
     read_model_hours,
     surface_names,
+    surface_rows,
+    surface_sentences,
 )
 from fieldlum.room import simulate
 from fieldlum.room.scene.radiance import octree
@@ -350,7 +350,7 @@ def test_a_wall_is_named_but_not_a_reveal_whose_pixels_are_edges() -> None:
         names = {"all": 1.0, "floor": 0.98, "ceiling": 1.02, "W wall": 1.0} | ratios
         means = {k: {"measured_cdm2": 100.0, "model_cdm2": 100.0 * v} for k, v in names.items()}
         rows = ({"name": k, "ratio": v, "pictures": 4} | means[k] for k, v in names.items())
-        return " ".join(_where(list(rows)))
+        return " ".join(surface_sentences(list(rows)))
 
     assert "No surface differs" in text(reveal=1.3, frame=0.7)
     assert "E wall: the model is 70 % too dark" in text(**{"E wall": 0.3, "reveal": 1.3})
@@ -361,7 +361,7 @@ def test_the_ratio_of_a_surface_is_that_of_its_median_pixel() -> None:
     names, light = np.full((4, 10), "N wall", object), np.full((4, 10), 50.0)
     model = 0.8 * light
     model[:, 7:] = 400.0  # light that leaks along the window
-    whole, wall = _of_surfaces("slot", names, light, model, np.full((4, 10), 0.1))
+    whole, wall = surface_rows("slot", names, light, model, np.full((4, 10), 0.1))
     assert wall["ratio"] == pytest.approx(0.8) and wall["model_cdm2"] == pytest.approx(148.0)
     assert whole["ratio"] == pytest.approx(148.0 / 50.0)
 

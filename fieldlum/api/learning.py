@@ -31,9 +31,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class RoomModel:
-    """A model of a room: `predict` gives maps, `glare` their figures, as the command `predict`.
+    """A fitted model of a room: `predict` returns its maps, `glare` the figures of glare.
 
-    fitted: the model itself; room: its site, mirrors and sky view.
+    Both give what `fieldlum predict` gives. fitted: the model itself; room: its site, mirrors and
+    sky view.
     """
 
     fitted: Fitted
@@ -50,6 +51,7 @@ class RoomModel:
         return self.fitted.parameters
 
     def __repr__(self) -> str:
+        """Return name, site, number of parameters, map size and heading as a text."""
         room = self.room
         return (
             f"<model {self.name} of {room.setup.site.name}: {self.parameters:,} parameters, maps "
@@ -59,11 +61,12 @@ class RoomModel:
     def predict(self, light: Light) -> xr.Dataset:
         """Return maps over (time, y, x), with altitude y and azimuth x in degrees.
 
-        Variables: luminance_cdm2 without the sun's disc; log10_sd, the standard deviation of its
-        log10, only if the model states it. Over time: disc_lx (illuminance of the visible disc on a
-        plane normal to the sun), sun_altitude_deg (apparent, as in pictures), sun_azimuth_deg,
-        trusted, and expected_log10_mse (NaN if the model does not state it).
-        Memory grows with the number of hours: 0.4 MB for one at 460 x 230.
+        light: of the hours, from `light_at`. Variables: luminance_cdm2 without the sun's disc;
+        log10_sd, the standard deviation of its log10, only if the model states it. Over time:
+        disc_lx (illuminance of the visible disc on a plane normal to the sun), sun_altitude_deg
+        (apparent, as in pictures), sun_azimuth_deg, trusted, and expected_log10_mse (NaN if the
+        model does not state it). Memory grows with the number of hours: 0.4 MB for one at 460 x
+        230. Raises InputError if `light` is not from `light_at`.
         """
         import numpy as np
         import xarray as xr
@@ -74,7 +77,7 @@ class RoomModel:
         parts = list(blocks(self.fitted, self.room, self._checked(light)))
         heading_deg = self.room.heading_deg
         maps = {"luminance_cdm2": [part.pictures_cdm2(heading_deg) for part in parts]}
-        spreads = [part.prediction.log10_sd for part in parts]
+        spreads = [part.prediction.log10_sd for part in parts]  # all None, or none is
         if not any(spread is None for spread in spreads):
             maps["log10_sd"] = [spread for spread in spreads if spread is not None]
         hours = {
@@ -84,9 +87,9 @@ class RoomModel:
             "trusted": [part.trusted for part in parts],
             "expected_log10_mse": [part.prediction.expected_mse for part in parts],
         }
-        over = dict.fromkeys(maps, ("time", "y", "x")) | dict.fromkeys(hours, ("time",))
+        dimensions = dict.fromkeys(maps, ("time", "y", "x")) | dict.fromkeys(hours, ("time",))
         variables = {
-            name: (over[name], np.concatenate(values), {"units": unit_of(name)})
+            name: (dimensions[name], np.concatenate(values), {"units": unit_of(name)})
             for name, values in (maps | hours).items()
         }
         return xr.Dataset(
@@ -98,25 +101,27 @@ class RoomModel:
     def glare(self, light: Light, views: int = 10) -> xr.Dataset:
         """Return figures of the hours, and of glare over (time, azimuth), with the sun's disc.
 
-        Variables: `HOUR_COLUMNS` and `VIEW_COLUMNS` of `fieldlum.session.files.hourly_csv`, among
-        them dgp and ev_lx, with units as attributes; the azimuth is clockwise from true north.
-        dgp_low and dgp_high are the 95 % interval, as the command has it: by the model's error, by
-        unseen parts of the view, and by what the sky view leaves open about the disc; u_dgp is its
-        standard uncertainty. views: number of view directions, evenly around from the model's
-        heading.
+        light: of the hours, from `light_at`. views: number of view directions, at equal steps from
+        the model's heading. Variables: `HOUR_COLUMNS` and `VIEW_COLUMNS` of
+        `fieldlum.session.files.hourly_csv`, among them dgp and ev_lx, with units as attributes; the
+        azimuth is clockwise from true north. dgp_low and dgp_high are the 95 % interval by the
+        model's error, by unseen parts of the view, and by what the sky view leaves open about the
+        disc; u_dgp is the standard uncertainty. Raises InputError if `light` is not from
+        `light_at`.
         """
         from fieldlum.year.predict.annual import dataset_of
         from fieldlum.year.predict.hour_blocks import room_figures
 
         azimuths_deg = view_azimuths_deg(self.room.heading_deg, views)
-        found = room_figures(self.fitted, self.room, self._checked(light), azimuths_deg)
-        hours = {name: v for name, v in found.hours.items() if name != "occupied"}
-        parts = ("contrast", "sun_contrast", "sun_ev_lx")  # of DGP; no metrics
-        figures = {name: v for name, v in found.views.items() if name not in parts}
-        return dataset_of(light.t_utc, azimuths_deg, hours, figures)
+        figures = room_figures(self.fitted, self.room, self._checked(light), azimuths_deg)
+        hours = {name: v for name, v in figures.hours.items() if name != "occupied"}
+        terms = ("contrast", "sun_contrast", "sun_ev_lx")  # of the sum in DGP; no metrics
+        metrics = {name: v for name, v in figures.views.items() if name not in terms}
+        return dataset_of(light.t_utc, azimuths_deg, hours, metrics)
 
     @staticmethod
     def _checked(light: Light) -> Light:
+        """Return the light; raise InputError if it is of another type or has no hour."""
         if not isinstance(light, Light) or not len(light):
             expected = "one hour or more from fieldlum.light_at"
             raise InputError("light", f"{light!r:.60}", expected, "call it first")
@@ -301,16 +306,14 @@ def light_at(
         times = [parse_utc(str(t)) for t in times_utc]
     values = []
     for name, given in (("dni_wm2", dni_wm2), ("dhi_wm2", dhi_wm2)):
-        with input_errors(name, "numbers in W/m2", "pass one value for each time", *_NO_ARRAY):
+        remedy = "pass one value for each time"
+        with input_errors(name, "numbers in W/m2", remedy, TypeError, ValueError):
             numbers = np.broadcast_to(np.asarray(given, float), len(times))
         if not (np.isfinite(numbers).all() and (numbers >= 0).all()):
             found = f"values {numbers.min():g} to {numbers.max():g}"
             raise InputError(name, found, "0 W/m2 or more", "correct it")
         values.append(numbers)
     return daylight.light_at(times, place(site), *values)
-
-
-_NO_ARRAY = (TypeError, ValueError)
 
 
 def predict_year(

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
 
-from fieldlum import session, weather
+from fieldlum import merge, plan, session, weather
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import JsonTable, Panorama, Site, SiteFile
 from fieldlum.merge import MergeResult
@@ -22,7 +22,10 @@ from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
 
 
 def path_of(value: object, what: str = "file") -> Path:
-    """Return a path; raises InputError, which names `what`, for a value that cannot be one."""
+    """Return a value as a path.
+
+    what: name of the value in errors. Raises InputError if it is neither a text nor a path.
+    """
     if isinstance(value, str | os.PathLike):
         return Path(value)
     found = f"a value of type {type(value).__name__}"
@@ -207,7 +210,11 @@ def read_weather(
 
 
 def place(site: SiteFile | Site | Session | str | Path) -> Site:
-    """Return the `Site` of a loaded SITE.toml, of a session, or of the path of a SITE.toml."""
+    """Return the place that any of the API's ways to name a site describes.
+
+    site: a place, a loaded SITE.toml, a session, or the path of a SITE.toml. Raises InputError for
+    a SITE.toml that cannot be read.
+    """
     if isinstance(site, Session):
         site = site.site_file()
     elif not isinstance(site, SiteFile | Site):
@@ -265,8 +272,6 @@ def plan_captures(
     >>> len(plan.slots)
     108
     """
-    from fieldlum import plan
-
     for name, day in (("start", start), ("today", today)):
         if not isinstance(day, date | None):
             raise InputError(name, repr(day), "a datetime.date", "pass date(2027, 3, 20)")
@@ -319,8 +324,6 @@ def merge_frames(
     >>> result.verdict
     'good'
     """
-    from fieldlum import merge
-
     if not isinstance(camera, CameraProfile):
         camera = load_camera_profile(camera)
     files = [files] if isinstance(files, str | Path) else files

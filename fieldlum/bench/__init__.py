@@ -21,7 +21,7 @@ from fieldlum.session.codec import write_csv
 
 
 def machine() -> str:
-    """Return the computer's cores and architecture, as text for tables."""
+    """Return the computer's number of cores and its architecture, such as "2 cores, x86_64"."""
     return f"{os.cpu_count()} cores, {platform.machine()}"
 
 
@@ -30,7 +30,10 @@ def machine() -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value as text for a table: "-" for None, yes or no, floats with three digits."""
+    """Return a value as text for a table: floats with three digits, yes or no, "-" for None.
+
+    Floats outside 1e-3 to 1e5 have an exponent.
+    """
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
@@ -54,9 +57,9 @@ def markdown(rows: Sequence[Mapping[str, object]], columns: Mapping[str, str] | 
 def store(
     out: Path, name: str, rows: Sequence[Mapping[str, object]], draw: Callable[[Path], None]
 ) -> None:
-    """Write rows to out/NAME.csv, and the chart that `draw(path)` writes to out/NAME.png.
+    """Write rows to NAME.csv in the folder `out`, and a chart to NAME.png.
 
-    name: NAME; rows: with the same keys.
+    rows: with the same keys; draw: called with the path of the chart, which it writes.
     """
     write_csv(out / f"{name}.csv", rows)
     with replacing_path(out / f"{name}.png") as path:
@@ -77,27 +80,29 @@ def run(
 ) -> JsonTable:
     """Score all models, write tables and a chart into `out`; return what `bench --json` prints.
 
-    Keys: models: rows of `score_row` and `radiance_row`; chosen, reason: as in `ModelSelection`.
-    Files: bench.md, scores.csv and scores.png; with `with_stress` stress.csv too. budget_min:
-    minutes of training for the dense network; render_hours: hours for which Radiance is timed.
+    loaded: the pairs and the models. with_stress: also test conditions in which methods fail.
+    budget_min: minutes of training for the dense network; render_hours: number of hours for which
+    Radiance is timed. Keys: models: rows of `score_row` and `radiance_row`; chosen, reason: as in
+    `ModelSelection`. Files: bench.md, scores.csv and scores.png; with stress stress.csv too. Raises
+    NotEnoughDataError for a stress test without test hours, if there is no second day.
     """
     data, test = loaded.data, loaded.test
     rows: list[Mapping[str, object]] = []
     trials: dict[str, Trial] = {}
-    measured = None if test is None else truth(test)
+    true_maps = None if test is None else truth(test)
     for spec in loaded.specs:
-        row, trial = score_row(spec, data, measured, budget_s=60.0 * budget_min)
+        row, trial = score_row(spec, data, true_maps, budget_s=60.0 * budget_min)
         rows.append(row)
         trials.setdefault(trial.name, trial)
     chosen = choose_model(list(trials.values()))
     rendering = radiance_row(data if test is None else test, render_hours)
     rows += [] if rendering is None else [rendering]
-    store(out, "scores", rows, lambda path: speed_accuracy(path, rows, machine()))
+    store(out, "scores", rows, lambda path: speed_accuracy(path, rows))
     parts = [f"## Scores\n\n{markdown(rows)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
     if with_stress:
-        cells = _stress(loaded)
-        write_csv(out / "stress.csv", cells)
-        parts.append(f"## Stress\n\n{markdown(cells)}")
+        stress_rows = _stress(loaded)
+        write_csv(out / "stress.csv", stress_rows)
+        parts.append(f"## Stress\n\n{markdown(stress_rows)}")
     hours = f"{len(test)} hours of {test.source}" if test else "held-out days"
     head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"
     write_file(out / "bench.md", f"{head}; test: {hours}.\n\n" + "\n".join(parts))
@@ -105,7 +110,10 @@ def run(
 
 
 def _stress(loaded: BenchData) -> list[JsonTable]:
-    """Run the stress tests of the first transport model, else of the first model."""
+    """Return rows of the stress tests of one model: the first transport model, else the first.
+
+    Without test hours the first fold of held-out days is tested.
+    """
     specs, data, test = loaded.specs, loaded.data, loaded.test
     spec = next((spec for spec in specs if spec.name == "transport"), specs[0])
     if test is None:
@@ -128,20 +136,24 @@ COLOURS |= {"dense": "#c2410c", "Radiance": "#4d7c0f"}
 
 
 def _colour(name: str) -> str:
+    """Return the colour of a model by the beginning of its name."""
     return next((colour for key, colour in COLOURS.items() if name.startswith(key)), "#111827")
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Return the indices of the points (x, y) on the Pareto front, by rising x and falling y."""
+    """Return the indices of the points (x, y) on the Pareto front, by rising x and falling y.
+
+    No other point has both a smaller x and a smaller y.
+    """
     order = sorted(range(len(points)), key=lambda k: points[k])
     lowest = np.minimum.accumulate([np.inf, *(points[k][1] for k in order)])
     return [k for k, low in zip(order, lowest, strict=False) if points[k][1] < low]
 
 
-def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) -> None:
+def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Draw each model's log10 MSE (paper mode) over its CPU seconds of training and of one map.
 
-    rows: results of `score_row`; machine: text on the computer, for the title.
+    path: of the picture to write; rows: results of `score_row`.
     """
     figure = new_figure(11.0, 4.8, dpi=150)
     labels = {"fit_cpu_s": "training", "predict_cpu_s_per_map": "one map"}
@@ -159,19 +171,20 @@ def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) 
         axis.set(xscale="log", yscale="log", xlabel=f"{label} [s of one core]")
         axis.set_ylabel("log10 MSE, paper mode")
         axis.legend(fontsize=7, frameon=False, loc="best")
-    figure.suptitle(f"Speed and accuracy on {machine}", fontsize=11)
+    figure.suptitle(f"Speed and accuracy on {machine()}", fontsize=11)
     figure.savefig(path)
 
 
 def _is_finite(row: Mapping[str, Any], *keys: str) -> bool:
+    """Return whether a row has a finite number under each of the keys."""
     return all(row.get(key) is not None and np.isfinite(row[key]) for key in keys)
 
 
 def _points(axis: Any, rows: Sequence[Mapping[str, Any]], key: str) -> None:
     """Draw the models and their Pareto front; models without sun patches are hollow.
 
-    rows: of the score table; key: the column on the x axis, such as a time in seconds. On the y
-    axis is paper_log10_mse.
+    rows: of the score table; key: column of the x axis, such as fit_cpu_s [s]. The y axis is
+    paper_log10_mse.
     """
     points = [(row[key], row["paper_log10_mse"]) for row in rows]
     if front := [points[k] for k in pareto(points)]:
@@ -180,8 +193,8 @@ def _points(axis: Any, rows: Sequence[Mapping[str, Any]], key: str) -> None:
         axis.step(x, y, where="post", color="#0b6e99", alpha=0.6, label=label)
     for row, point in zip(rows, points, strict=True):
         name, colour = row["name"], _colour(row["name"])
-        face = "white" if ":none" in name else colour
-        axis.plot(*point, "o", markersize=8, color=colour, markerfacecolor=face)
+        face_colour = "white" if ":none" in name else colour
+        axis.plot(*point, "o", markersize=8, color=colour, markerfacecolor=face_colour)
         # below the dense network's point, so that it does not cover the published one
-        place = (-8, -14) if name.startswith("dense") else (7, 5)
-        axis.annotate(name, point, xytext=place, textcoords="offset points", fontsize=8)
+        offset_pt = (-8, -14) if name.startswith("dense") else (7, 5)
+        axis.annotate(name, point, xytext=offset_pt, textcoords="offset points", fontsize=8)

@@ -46,7 +46,7 @@ class Spec:
 
 
 def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
-    """Parse the models to compare.
+    """Return the models to compare, from texts such as "transport:none" or the path of a folder.
 
     Raises InputError for a text that is neither a model nor a model folder.
     """
@@ -54,10 +54,7 @@ def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
 
 
 def _parse_spec(text: str) -> Spec:
-    """Return a model, by its name (with a use of sun patches) or its folder.
-
-    Raises InputError for another text.
-    """
+    """Return the model that one text names, as for `parse_specs`."""
     name, _, patch = text.partition(":")
     if name in MODELS and patch in ("", *get_args(Patch)):
         return Spec(text, name, cast(Patch, patch or "absolute"))
@@ -94,49 +91,49 @@ def load(
     scene: str = "",
     sky_view: Path | None = None,
 ) -> BenchData:
-    """Read the pairs with their sun patches or their scene, as `train` learns them.
+    """Read the pairs of a benchmark with their sun patches or their scene, as `train` reads them.
 
-    pairs, test: sessions or csv files with the hours to train on and to test on; site: SITE.toml,
-    None for that of the pairs. models: names, or folders of trained models. scene: "", "none" or
-    the folder of a scene. sky_view: a sky_view.exr, None for that of the pairs. Test hours that a
-    model was trained on are omitted. Raises InputError for files that cannot be used,
-    NotEnoughDataError if no test hour is left.
+    pairs, test: sessions or csv files with the hours to train on and to test on; test None: use
+    held-out days. site: SITE.toml, None for that of the pairs. models: names, or folders of trained
+    models. scene: "" for scene/ next to the pairs, "none", or the folder of a scene. sky_view: a
+    sky_view.exr, None for that of the pairs. Test hours that a model was trained on are omitted.
+    Raises InputError for files that cannot be used, NotEnoughDataError if no test hour is left.
     """
     specs = parse_specs(models)
     data = with_sky_view(load_pairs(pairs, site), sky_view)
     data, _ = apply_scene(data, pairs, scene, "absolute")
     if test is None:
         return BenchData(data, None, specs)
-    others = load_pairs(test, site)
-    others, _ = apply_scene(others, pairs, scene, "absolute")
+    test_data, _ = apply_scene(load_pairs(test, site), pairs, scene, "absolute")
     folders = (spec.folder for spec in specs if spec.folder is not None)
-    fresh = without_training_hours(replace(others, sky_view=data.sky_view), data, *folders)
-    return BenchData(data, fresh, specs)
+    unused = without_training_hours(replace(test_data, sky_view=data.sky_view), data, *folders)
+    return BenchData(data, unused, specs)
 
 
 def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dataset:
-    """Return the test hours that are neither in `train` nor in the training of the stored models.
+    """Return the test hours that no model was trained on.
 
-    Raises NotEnoughDataError if no hour remains.
+    train: hours that new models are trained on; folders: of models that are already trained. Raises
+    NotEnoughDataError if no hour remains.
     """
     trained = (models.read_config(folder).training.slots for folder in folders)
     training_slots = set(train.slots).union(*trained)
-    fresh = np.array([slot not in training_slots for slot in test.slots])
-    if not fresh.any():
+    is_unused = np.array([slot not in training_slots for slot in test.slots])
+    if not is_unused.any():
         found = "every test hour is also a training hour; use other test hours"
         raise NotEnoughDataError(f"{test.source}: {found}")
-    return test.take(fresh)
+    return test.take(is_unused)
 
 
 def score_row(
     spec: Spec, data: Dataset, test: Truth | None, *, seed: int = 0, budget_s: float
 ) -> tuple[JsonTable, Trial]:
-    """Fit one model with one seed on `data`; return its score row and the trial.
+    """Fit one model to `data` and test it; return a row of the score table, and the trial.
 
-    Keys of the row: name (label), fit_s, fit_cpu_s [s], n_train, seed, patch and those of
-    `scores.summary`. budget_s: time limit of the training [s]. The test is `test`, or held-out days
-    of `data` if None. A trained model is not fitted again. Raises InputError for a trained model
-    without test hours.
+    spec: the model; one that is already trained is not fitted again. test: truth of the test hours;
+    None: test on held-out days of `data`. seed: of the fit; budget_s: time limit of the training
+    [s]. Keys of the row: name (the model's label), fit_s, fit_cpu_s [s], n_train, seed, patch and
+    those of `scores.summary`. Raises InputError for a trained model without test hours.
     """
     patch = patch_mode(data, spec.patch)
     if test is None:
@@ -158,10 +155,11 @@ def score_row(
 def _fitted(
     spec: Spec, data: Dataset, patch: Patch, seed: int, budget_s: float
 ) -> tuple[models.Fitted, Spent, int]:
-    """Return a model, the time that its training took (NaN: unknown), and its number of hours.
+    """Return a fitted model, the time of its training, and the number of its training hours.
 
-    It is fitted to `data`, or read from the folder of `spec`, for which the other arguments do not
-    count. budget_s: time limit of the fit.
+    spec: the model; if it has a folder, the model is read from there, and the other arguments are
+    not used. The times of a stored model are NaN if it does not state them. data: hours to fit to;
+    budget_s: time limit of the fit [s].
     """
     if spec.folder is None:
         fitted, spent = fit_timed(spec.name, data, patch=patch, seed=seed, budget_s=budget_s)
@@ -180,10 +178,10 @@ PAPER_OPTIONS = ("-ab", "4", "-aa", ".1", "-ar", "512", "-ad", "2048", "-as", "1
 def radiance_row(data: Dataset, hours: int) -> dict[str, object] | None:
     """Return a row of the score table with the seconds that rtrace needs for one map.
 
-    Keys predict_s_per_map, predict_cpu_s_per_map: mean of `hours` bright hours of `data`, at its
-    map size, on one core, with the paper's options. The room is the box of [room]. Its sky is
-    uniform with the hour's illuminance, which costs as much as a Perez sky. Return None without a
-    box room.
+    hours: number of bright hours of `data` to render; 0: none. Keys predict_s_per_map,
+    predict_cpu_s_per_map: mean of these hours [s], at the map size of `data`, on one core, with the
+    paper's options. The room is the box of [room]. Its sky is uniform with the hour's illuminance,
+    which costs as much as a Perez sky. Return None without hours or a box room.
     """
     room = data.setup.room
     if room is None or room.kind != "box" or hours < 1:
@@ -191,19 +189,22 @@ def radiance_row(data: Dataset, hours: int) -> dict[str, object] | None:
     scene = build(room)
     height, width = data.shape
     rays = scene.to_room(equirect_rays(height, width, data.heading_deg).reshape(-1, 3))
-    order = np.argsort(data.light.total_lx)[len(data) // 2 :]
-    chosen = order[np.unique(np.linspace(0, len(order) - 1, hours).round().astype(int))]
-    times = []
+    bright = np.argsort(data.light.total_lx)[len(data) // 2 :]  # indices of the brighter half
+    chosen = bright[np.unique(np.linspace(0, len(bright) - 1, hours).round().astype(int))]
+    times_s = []  # wall time and CPU time of each hour
     for k, hour in enumerate(chosen):
         progress(k, len(chosen), "Radiance rendering")
         light = data.light[[hour]]
-        level = max(float(light.diffuse_lx[0]), 1.0) / 179.0 / np.pi
-        sky = f"void glow skyglow\n0\n0\n4 {level:.6g} {level:.6g} {level:.6g} 0\n"
+        # W/(m2 sr); Radiance counts 179 lm/W
+        radiance = max(float(light.diffuse_lx[0]), 1.0) / 179.0 / np.pi
+        sky = f"void glow skyglow\n0\n0\n4 {radiance:.6g} {radiance:.6g} {radiance:.6g} 0\n"
         sky += "skyglow source sky\n0\n0\n4 0 0 1 180\n"
         sun = sun_text(scene.to_room(light.apparent_sun_direction)[0], float(light.direct_lx[0]))
         with octree(rad_text(scene), sky, sun) as tree:
-            start_s, busy_s = time.monotonic(), sum(os.times()[2:4])  # of children
+            start_s, busy_s = time.monotonic(), sum(os.times()[2:4])  # CPU time of children
             trace(tree, np.array(scene.camera_m), rays, PAPER_OPTIONS)
-            times.append((time.monotonic() - start_s, sum(os.times()[2:4]) - busy_s))
-    mean = zip(("predict_s_per_map", "predict_cpu_s_per_map"), np.mean(times, axis=0), strict=True)
-    return {"name": "Radiance -ab 4", **dict.fromkeys(ERRORS), **dict(mean), "n_test": len(times)}
+            times_s.append((time.monotonic() - start_s, sum(os.times()[2:4]) - busy_s))
+    wall_s, cpu_s = np.mean(times_s, axis=0)
+    row: dict[str, object] = {"name": "Radiance -ab 4", **dict.fromkeys(ERRORS)}
+    row |= {"predict_s_per_map": wall_s, "predict_cpu_s_per_map": cpu_s, "n_test": len(times_s)}
+    return row

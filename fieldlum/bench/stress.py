@@ -1,6 +1,7 @@
 """Test conditions in which methods fail: error over a normal case, and whether the tool reports it.
 
-A condition changes the training data, the test data, or both, relative to its own normal case.
+A condition changes the training data, the test data, or both. Its error is divided by the error of
+the same data without the condition, its normal case.
 "Reported" means one of three: the training warned (`learn.train.held_out_warnings`,
 `room.fit.misplaced_patches.warnings_of`); the model expected, on average, more than a third
 of the error; or it did not trust most of the hours, or most of those with a large error.
@@ -39,7 +40,7 @@ class Case:
     """A condition to test.
 
     name: of the condition; train, test: data with the condition applied; normal: name of the case
-    to whose error this error is compared; seed: of the fit.
+    with which its error is compared; seed: of the fit.
     """
 
     name: str
@@ -54,15 +55,16 @@ class Case:
 
 
 def with_light(data: Dataset, **columns: Floats) -> Dataset:
-    """Return the captures with other arrays in `data.light`; the maps do not change.
+    """Return the captures with other irradiance or sun angles; the maps do not change.
 
-    columns: names and values of fields of `Light`. `Light.perez` becomes None.
+    columns: fields of `Light` and their new values [n]. `Light.perez`, which belongs to the old
+    values, becomes None.
     """
     return replace(data, light=replace(data.light, perez=None, **columns))
 
 
 def wrong_north(data: Dataset, degrees: float) -> Dataset:
-    """Return the data with a wrong north: the sun's azimuth is `degrees` larger (clockwise).
+    """Return the data as if north were wrong: the sun's azimuth is `degrees` larger (clockwise).
 
     Sun patches are computed again for this sun, if there is a [room]; the maps do not change.
     """
@@ -71,71 +73,79 @@ def wrong_north(data: Dataset, degrees: float) -> Dataset:
 
 
 def late_clock(data: Dataset, minutes: float) -> Dataset:
-    """Return the data with the sun where it is `minutes` after the true time, as by a fast clock.
+    """Return the data as if the clock were fast: the sun is where it is `minutes` after the time.
 
     Sun patches are computed again for this sun, if there is a [room]; the maps do not change.
     """
-    site, step = data.setup.site, timedelta(minutes=minutes)
-    now = sun.position(data.light.t_utc, site)
-    then = sun.position([t + step for t in data.light.t_utc], site)
-    light = data.light
-    altitude_deg = light.sun_altitude_deg + then.altitude_deg - now.altitude_deg
-    azimuth_deg = (light.sun_azimuth_deg + then.azimuth_deg - now.azimuth_deg) % 360.0
+    site, delay, light = data.setup.site, timedelta(minutes=minutes), data.light
+    now = sun.position(light.t_utc, site)
+    later = sun.position([t + delay for t in light.t_utc], site)
+    altitude_deg = light.sun_altitude_deg + later.altitude_deg - now.altitude_deg
+    azimuth_deg = (light.sun_azimuth_deg + later.azimuth_deg - now.azimuth_deg) % 360.0
     return _patched(with_light(data, sun_altitude_deg=altitude_deg, sun_azimuth_deg=azimuth_deg))
 
 
 def _patched(data: Dataset) -> Dataset:
-    """Compute sun patches again from [room], for the wrong sun."""
-    stated = data.setup.room is not None and data.patch_cdm2 is not None
-    return with_patches(data) if stated else data
+    """Return the data with sun patches computed from [room] for the sun in `data`.
+
+    Data without a [room] or without patches do not change.
+    """
+    has_patches = data.setup.room is not None and data.patch_cdm2 is not None
+    return with_patches(data) if has_patches else data
 
 
 def _noise(shape: tuple[int, ...], share: float, seed: int) -> Floats:
-    """Return log-normal factors; share: standard deviation of their ln."""
+    """Return random log-normal factors of a shape; share: standard deviation of their ln."""
     return np.exp(share * np.random.default_rng(seed).standard_normal(shape))
 
 
 def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with log-normal noise of maps; share: standard deviation of ln L; seed."""
+    """Return the data with a random log-normal factor on each pixel of the maps.
+
+    share: standard deviation of the ln of the factor; seed: of the noise.
+    """
     factor = _noise(data.luminance_cdm2.shape, share, seed).astype(np.float32)
     return replace(data, luminance_cdm2=data.luminance_cdm2 * factor)
 
 
 def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with noise in DNI, and DHI changed so that global irradiance stays the same.
+    """Return the data with noise in DNI, and with a DHI that keeps the global irradiance.
 
     share: standard deviation of the ln of the factor on DNI; seed: of the noise. DHI is at least
     1 W/m2.
     """
     light = data.light
-    rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.02)
-    total = light.dni_wm2 * rise + light.dhi_wm2
-    dni = np.minimum(light.dni_wm2 * _noise((len(data),), share, seed), 0.97 * total / rise)
-    return with_light(data, dni_wm2=dni, dhi_wm2=np.maximum(total - dni * rise, 1.0))
+    sin_altitude = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.02)
+    ghi_wm2 = light.dni_wm2 * sin_altitude + light.dhi_wm2
+    dni_wm2 = light.dni_wm2 * _noise((len(data),), share, seed)
+    dni_wm2 = np.minimum(dni_wm2, 0.97 * ghi_wm2 / sin_altitude)
+    dhi_wm2 = np.maximum(ghi_wm2 - dni_wm2 * sin_altitude, 1.0)
+    return with_light(data, dni_wm2=dni_wm2, dhi_wm2=dhi_wm2)
 
 
 def from_global(data: Dataset) -> Dataset:
-    """Return the data with DNI and DHI derived from global horizontal irradiance by a model.
+    """Return the data with DNI and DHI derived from global horizontal irradiance.
 
-    It is that of Erbs, Klein and Duffie (Solar Energy 28, 1982). DIRINT cannot be used, because it
-    needs a series and the hours are isolated. The maps do not change.
+    The model is that of Erbs, Klein and Duffie (Solar Energy 28, 1982). DIRINT cannot be used,
+    because it needs a series and the hours are isolated. The maps do not change.
     """
     from pvlib.irradiance import erbs
 
     light = data.light
-    zenith = 90.0 - light.sun_altitude_deg
-    total = light.dni_wm2 * np.maximum(np.cos(np.radians(zenith)), 0.0) + light.dhi_wm2
-    day = np.array([t.timetuple().tm_yday for t in light.t_utc])
-    derived = erbs(total, np.minimum(zenith, 88.0), day)
+    zenith_deg = 90.0 - light.sun_altitude_deg
+    ghi_wm2 = light.dni_wm2 * np.maximum(np.cos(np.radians(zenith_deg)), 0.0) + light.dhi_wm2
+    day_of_year = np.array([t.timetuple().tm_yday for t in light.t_utc])
+    derived = erbs(ghi_wm2, np.minimum(zenith_deg, 88.0), day_of_year)
     dni, dhi = (np.nan_to_num(np.asarray(derived[name], float)) for name in ("dni", "dhi"))
     return with_light(data, dni_wm2=np.clip(dni, 0.0, 1100.0), dhi_wm2=np.maximum(dhi, 1.0))
 
 
 def blind_moved(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with a blind down on a share of the days, at least one day.
+    """Return the data as if a blind were down on some days.
 
     On these days the captured maps have no sun patch and two fifths of the remaining luminance; the
-    sun patches in `data` do not change. seed: of the draw of days.
+    sun patches in `data` do not change. share: of the days (0 to 1), at least one day; seed: of
+    their draw.
     """
     days = np.unique(data.days)
     down = np.random.default_rng(seed).permutation(days)[: max(1, round(share * len(days)))]
@@ -152,11 +162,12 @@ def blind_moved(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def _sun_share(light: Light) -> Floats:
-    """Return the share of DNI in DNI + DHI, [n]."""
+    """Return the share of DNI in DNI + DHI of each hour, 0 to 1, [n]."""
     return light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
 
 
 def _months(data: Dataset) -> NDArray[np.int64]:
+    """Return the month of each hour, 1 to 12, [n]."""
     return np.array([day.astype(object).month for day in data.days])
 
 
@@ -176,30 +187,35 @@ def cases(data: Dataset, test: Dataset) -> Iterator[Case]:
 
 
 def _subsets(data: Dataset, test: Dataset) -> Iterator[Case]:
-    """Yield fits to the captures of one sky or season, and tests on hours of one kind."""
-    light, tested, months = test.light, _months(test), _months(data)
+    """Yield fits to the captures of one sky or season, and tests on hours of one kind.
+
+    A condition is omitted if it has fewer than `MIN_HOURS` hours of training or of test.
+    """
+    light, test_months, months = test.light, _months(test), _months(data)
     days = data.days.astype("datetime64[D]").astype(int)
+    # numbers of the days from the first day in March, if there is one, else from the first day
     days = days - (days[months == 3].min() if (months == 3).any() else days.min())
     low = light.sun_altitude_deg < 10.0
     all_data, all_test = np.ones(len(data), bool), np.ones(len(test), bool)
-    rows = {
+    # for each condition, masks of the training hours and of the test hours
+    masks = {
         "sun disc in view": (all_data, test.disc_lx > 0.0),
         "low sun, under 10 degrees": (all_data, low & (light.dni_wm2 > 20.0)),
         "overcast captures only, clear test": (
             _sun_share(data.light) < 0.2,
             _sun_share(light) > 0.6,
         ),
-        "December captures only, June test": (months == 12, tested == 6),
+        "December captures only, June test": (months == 12, test_months == 6),
         "one week of captures": ((days >= 0) & (days < 7), all_test),
         "two weeks of captures": ((days >= 0) & (days < 14), all_test),
     }
-    for name, (teach, check) in rows.items():
-        if teach.sum() >= MIN_HOURS and check.sum() >= MIN_HOURS:
-            yield Case(name, data.take(teach), test.take(check))
+    for name, (in_training, in_test) in masks.items():
+        if in_training.sum() >= MIN_HOURS and in_test.sum() >= MIN_HOURS:
+            yield Case(name, data.take(in_training), test.take(in_test))
 
 
 def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
-    """Yield a wrong north and a wrong clock, with patches computed from [room].
+    """Yield cases with a wrong north or a wrong clock, and sun patches computed from [room].
 
     The patches of their normal case are computed from [room] too.
     """
@@ -209,8 +225,8 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
         name = f"north off by {degrees:g} degrees"
         yield Case(name, wrong_north(data, degrees), wrong_north(test, degrees), base)
     for minutes in (5, 15):
-        late = (late_clock(data, minutes), late_clock(test, minutes))
-        yield Case(f"clock off by {minutes} min", *late, base)
+        name = f"clock off by {minutes} min"
+        yield Case(name, late_clock(data, minutes), late_clock(test, minutes), base)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -220,7 +236,8 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 def run(spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0) -> list[JsonTable]:
     """Fit the model under each condition that the data allow; return one row per condition.
 
-    data, test: training and test hours. budget_s: time limit of each training [s]. Columns: name:
+    spec: the model; data, test: training and test hours. budget_s: time limit of each training [s].
+    Columns: name:
     model and options; regime: name of the condition; n_train, n_test: numbers of hours;
     log10_mse_weighted, median, worst: mean, median and largest error of the test hours;
     expected_mse: mean error that the model expected, None if it expects none; untrusted_share: of
@@ -234,12 +251,12 @@ def run(spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0) -> 
     for case in cases(data, test):
         progress(len(rows), 0, case.name)
         # with maps of 20 rows thirty fits take a minute or two
-        train, tested = case.train.thin(20), case.test.thin(20)
+        train, test_maps = case.train.thin(20), case.test.thin(20)
         mode = patch_mode(train, spec.patch)
         fitted, spent = fit_timed(spec.name, train, patch=mode, seed=case.seed, budget_s=budget_s)
         misplaced = warnings_of(misplacement_of(case.train, mode), case.train.setup)
         warned = bool(held_out_warnings(fitted, train) or misplaced)
-        row = _row(evaluate(fitted, truth(tested, glare=False)), warned)
+        row = _row(evaluate(fitted, truth(test_maps, glare=False)), warned)
         about = {"name": spec.label, "regime": case.name, "n_train": len(train)}
         error = normal.setdefault(case.name, row["log10_mse_weighted"])
         times = {"fit_cpu_s": spent.cpu_s, "times_normal": error / normal[case.normal]}
@@ -248,12 +265,15 @@ def run(spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0) -> 
 
 
 def _row(scores: Scores, warned: bool) -> JsonTable:
-    """Return the columns of a condition that follow from its scores."""
-    error, expected, doubted = scores.mse_weighted, scores.expected_mse, ~scores.trusted
+    """Return the columns of a condition that follow from the scores of its n test hours.
+
+    warned: whether the training warned.
+    """
+    error, expected, doubted = scores.mse_weighted, scores.expected_mse, ~scores.trusted  # [n]
     large = error > max(GROSS_MSE, 4.0 * float(np.median(error)))
     gross = error > GROSS_MSE
-    feared = warned | doubted | (np.nan_to_num(expected) > REPORTED_SHARE * error)
-    # NaN, of a model that expects no error, compares False
+    flagged = warned | doubted | (np.nan_to_num(expected) > REPORTED_SHARE * error)
+    # NaN, of a model that does not estimate its error, compares False
     is_expected = expected.mean() > REPORTED_SHARE * error.mean()
     is_doubted = doubted.mean() > 0.5 or 2 * doubted[large].sum() > large.sum()
     return {
@@ -266,5 +286,5 @@ def _row(scores: Scores, warned: bool) -> JsonTable:
         "warned": warned,
         "reported": bool(warned or is_expected or is_doubted),
         "gross": int(gross.sum()),
-        "gross_unflagged": int((gross & ~feared).sum()),
+        "gross_unflagged": int((gross & ~flagged).sum()),
     }

@@ -36,15 +36,16 @@ EXTRAS = {
     **{"distributed": "cluster", "apprise": "notify"},
 }
 
-# Errors of a folder or a disk, which can happen in any command and which no stage can correct.
-_ELSEWHERE = "expected a place open to you; change its permissions, or choose another place"
-_FULL = "free disk space, then start the command again: finished work is not repeated"
-_NAME = "expected a folder where one is needed, a file where one is, no link or pipe; correct it"
+# What to do after an error of a folder or a disk, by errno. Such errors can happen in any command,
+# and no stage can correct them.
+_NOT_PERMITTED = "expected a place open to you; change its permissions, or choose another place"
+_DISK_FULL = "free disk space, then start the command again: finished work is not repeated"
+_KIND = "expected a folder where one is needed, a file where one is, no link or pipe; correct it"
 DISK_TROUBLE = {
-    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _ELSEWHERE),
-    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), _FULL),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _NOT_PERMITTED),
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), _DISK_FULL),
     **dict.fromkeys((errno.ENOLCK, errno.ENOTSUP), "move the session to a disk with locks"),
-    **dict.fromkeys((errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.ENXIO), _NAME),
+    **dict.fromkeys((errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.ENXIO), _KIND),
     errno.EIO: "the disk or card does not answer: copy the readable files to another one",
     errno.ENAMETOOLONG: "choose shorter names",
     errno.EOVERFLOW: "restore the file from a copy, or remove it",
@@ -65,7 +66,7 @@ class _CommandGroup(InOrder):
         return import_module(f"fieldlum.cli.{cmd_name}_command").command
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run the command; print expected errors as one line and exit with their code."""
+        """Run the command; print an expected error as one line and exit with its code."""
         _hold_standard_files()
         code = errors.InputError.exit_code
         try:
@@ -96,8 +97,11 @@ class _CommandGroup(InOrder):
 
 @contextmanager
 def _children_import_nothing_here() -> Iterator[None]:
-    """Let Python processes import nothing from the current folder: it may be somebody's session."""
-    before = os.environ.setdefault("PYTHONSAFEPATH", "")
+    """Keep Python processes started in a `with` block from importing from the current folder.
+
+    It may be a session from another person, whose files must not run.
+    """
+    before = os.environ.get("PYTHONSAFEPATH", "")
     os.environ["PYTHONSAFEPATH"] = "1"
     try:
         yield
@@ -107,11 +111,15 @@ def _children_import_nothing_here() -> Iterator[None]:
 
 @contextmanager
 def _warnings_as_notes() -> Iterator[None]:
-    """Print warnings without control codes on stderr, those of fieldlum as one line, once."""
+    """Print warnings raised in a `with` block on stderr, without control codes.
+
+    A warning of fieldlum is one line, printed once; the others are shown as Python shows them.
+    """
     with warnings.catch_warnings():
         show, shown = warnings.showwarning, set[str]()
 
         def note(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            """Print one warning; the arguments are those of `warnings.showwarning`."""
             if issubclass(category, errors.Caution):
                 if str(message) not in shown:
                     shown.add(str(message))

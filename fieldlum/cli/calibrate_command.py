@@ -25,7 +25,7 @@ Paths = tuple[Path, ...]
 
 
 def _every(camera: str, out: Path, picture: Path | None = None, as_json: bool = False) -> None:
-    """Declare the options of every part.
+    """Declare the options that all parts of a profile have.
 
     Options:
       --camera PROFILE: The profile to start from: a file, or a shipped name.
@@ -38,9 +38,9 @@ def _every(camera: str, out: Path, picture: Path | None = None, as_json: bool = 
 class FittedPart:
     """What a fit changes in the profile, and what is printed about it.
 
-    changed : fields of the profile. lines : one about each fit, stored in the profile. frames :
-    files whose sha256 is stored. chart : of the fit. notes : for the user, on stderr. figures :
-    further ones of the answer, printed; `points` and `times` as a table.
+    changed: new values of the profile, by field. lines: sentences about the fit, printed and stored
+    in the profile. frames: files whose sha256 is stored. chart: of the fit. notes: for the user, on
+    stderr. figures: printed after the lines, by name; `points` and `times` are tables.
     """
 
     changed: dict[str, Any]
@@ -78,7 +78,11 @@ def _run(
     as_json: bool,
     **own: Any,
 ) -> None:
-    """Fit one part, draw it, print what it found, and write the profile."""
+    """Fit one part of a profile, draw the fit, print its result, and write the profile.
+
+    fit: the part's function; camera: the profile to start from; out: the profile to write; picture:
+    file of the chart; own: the part's own options.
+    """
     from fieldlum.calibrate import save_calibration
     from fieldlum.calibrate.fit_charts import draw
     from fieldlum.core.strict_toml import plain
@@ -99,7 +103,10 @@ def _run(
 
 
 def _part(fit: Callable[..., FittedPart]) -> click.Command:
-    """Add the command of a part, with the parameters of its function after the profile."""
+    """Add the command of a part of the profile, named as its function, and return it.
+
+    The function's first parameter is the profile; the others are options of the command.
+    """
     signature = inspect.signature(fit)
     own = list(signature.parameters.values())[1:]
     fit.__signature__ = signature.replace(parameters=own)  # type: ignore[attr-defined]
@@ -111,7 +118,10 @@ def _part(fit: Callable[..., FittedPart]) -> click.Command:
 
 
 def _lens_index(profile: CameraProfile, lens_number: int) -> int:
-    """Return the index, from 0, of the lens that --lens counts from 1."""
+    """Return the index, from 0, of the lens that --lens counts from 1.
+
+    Raises click.UsageError if the profile has fewer lenses.
+    """
     if lens_number > len(profile.lens):
         has = f"{profile.camera.name} has {len(profile.lens)} lens(es), counted from 1"
         raise click.UsageError(f"--lens {lens_number}: {has}")
@@ -119,7 +129,7 @@ def _lens_index(profile: CameraProfile, lens_number: int) -> int:
 
 
 def _with_lens(profile: CameraProfile, index: int, new: Lens) -> dict[str, Any]:
-    """Return the change of a profile whose lens at `index` is replaced."""
+    """Return the changed field of a profile whose lens at `index` is replaced by `new`."""
     return {"lens": (*profile.lens[:index], new, *profile.lens[index + 1 :])}
 
 
@@ -163,34 +173,38 @@ def lens(
 
 
 def _by_circle(frame: Path, profile: CameraProfile, index: int) -> FittedPart:
-    """Return centre and radius of lens `index` by the edge of the image circle in one frame."""
+    """Fit centre and radius of lens `index` to the edge of the image circle in one frame."""
     from fieldlum.calibrate import lens as lenses
     from fieldlum.optics.linear_light import check_frame
 
     start = profile.lens[index]
     grey = lenses.grey_picture(frame)
     check_frame(frame, grey.shape, "", profile)
-    found = lenses.circle(grey, start, frame, guessed=not profile.camera.date)
-    (x, y), radius_px = found.centre_px, found.radius_px
+    edge = lenses.circle(grey, start, frame, guessed=not profile.camera.date)
+    (x, y), radius_px = edge.centre_px, edge.radius_px
     new = replace(start, centre_px=(round(x, 2), round(y, 2)), radius_px=round(radius_px, 2))
-    changed, chart = _with_lens(profile, index, new), lenses.circle_chart(found, frame)
-    line = f"lens: circle of radius {radius_px:.1f} px, uncertainty {found.u_px:.1f} px"
+    changed, chart = _with_lens(profile, index, new), lenses.circle_chart(edge, frame)
+    line = f"lens: circle of radius {radius_px:.1f} px, uncertainty {edge.u_px:.1f} px"
     return FittedPart(changed, [line], [frame], chart)
 
 
 def _by_targets(
     sources: Paths, profile: CameraProfile, index: int, chessboard: tuple[float, ...] | None
 ) -> FittedPart:
-    """Return lens `index` by a csv of targets or by frames of a chessboard (columns, rows)."""
+    """Fit centre, mapping and pose of lens `index` to targets.
+
+    sources: a csv of targets, or frames of a chessboard with inner corners `chessboard`: columns,
+    rows.
+    """
     from fieldlum.calibrate import lens as lenses
 
     start, notes = profile.lens[index], []
     if chessboard:
         columns, rows = map(int, chessboard)
-        corners = {path: lenses.chessboard_corners(path, columns, rows) for path in sources}
-        places = [at for at in corners.values() if at is not None]
-        notes = [f"no {columns} x {rows} board found in {p}" for p in sources if corners[p] is None]
-        fit, targets = lenses.fit_boards(places, columns, rows, start)
+        boards = {path: lenses.chessboard_corners(path, columns, rows) for path in sources}
+        corners = [corners_px for corners_px in boards.values() if corners_px is not None]
+        notes = [f"no {columns} x {rows} board found in {p}" for p in sources if boards[p] is None]
+        fit, targets = lenses.fit_boards(corners, columns, rows, start)
     else:
         targets = lenses.from_table(sources[0])
         fit = lenses.fit(targets, start)
@@ -280,21 +294,21 @@ def colour(
           the first row, for melanopic light.
       --clear-glass: Rooms have clear, low-e or solar-control glass, not grey, bronze or film.
     """
-    from fieldlum.calibrate import colour as fits
+    from fieldlum.calibrate import colour as calibration
 
     is_table, notes = sources.suffix.lower() == ".csv", []
     if is_table:
-        colours = fits.from_table(sources, profile)
+        colours = calibration.from_table(sources, profile)
     else:
-        colours = fits.from_chart(sources, profile, corners or (), cct_k or 6500.0)
-    fit = fits.fit(colours, profile)
+        colours = calibration.from_chart(sources, profile, corners or (), cct_k or 6500.0)
+    fit = calibration.fit(colours, profile)
     if is_table and abs(fit.scale - 1) > 0.03:
         notes.append(f"the readings multiply k by {fit.scale:.3f}: run fieldlum calibrate scale")
     new = replace(profile.colour, y_from_rgb=fit.y_from_rgb, u_rel=round(fit.u_rel, 5))
-    new, line = fits.with_melanopic(new, colours, profile, fit.scale, cct_k, clear_glass)
-    files = dict.fromkeys([sources, *(at.path for at in colours.places)])
-    lines = [fit.choice.line, line]
-    return FittedPart({"colour": new}, lines, files, fits.chart(colours, fit), notes)
+    new, line = calibration.with_melanopic(new, colours, profile, fit.scale, cct_k, clear_glass)
+    files = dict.fromkeys([sources, *(place.path for place in colours.places)])
+    chart, lines = calibration.chart(colours, fit), [fit.choice.line, line]
+    return FittedPart({"colour": new}, lines, files, chart, notes)
 
 
 @_part
@@ -325,17 +339,19 @@ def scale(
     fit = scales.fit(readings, meter_u, sources)
     warning = scales.check_level(fit, profile, sources)
     points = []
-    for r, off in zip(readings, np.round(100 * fit.residual, 2).tolist(), strict=True):
-        picture = r.image * fit.factor
-        row = {"reading": r.label, "meter": r.meter, "picture": picture, "off_percent": off}
+    residual_percent = np.round(100 * fit.residual, 2).tolist()
+    for reading, off_percent in zip(readings, residual_percent, strict=True):
+        row = {"reading": reading.label, "meter": reading.meter}
+        row |= {"picture": reading.image * fit.factor, "off_percent": off_percent}
         points.append(row)
-    planes = [r for r in readings if r.kind != "spot"]
-    gates = [illuminance_verdict(r.image * fit.factor, r.meter) for r in planes]
+    # readings of an illuminance meter, which are compared with the picture's illuminance
+    planes = [reading for reading in readings if reading.kind != "spot"]
+    verdicts = [illuminance_verdict(p.image * fit.factor, p.meter) for p in planes]
     k, u = round(profile.scale.k * fit.factor, 5), round(fit.u_rel, 4)
     figures = {"points": points, "k": k, "u_rel": u, "factor": fit.factor, "far": fit.far}
-    figures["illuminance"] = gates
+    figures["illuminance"] = verdicts
     line = f"{fit.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"
-    line += "".join(f"; illuminance: {gate}" for gate in gates)
+    line += "".join(f"; illuminance: {verdict}" for verdict in verdicts)
     line += f"; CAUTION: {warning}" if warning else ""
     notes = [*notes, *scales.outlier_texts(readings, fit), *filter(None, [warning])]
     changed, chart = {"scale": replace(profile.scale, k=k, u_rel=u)}, scales.chart(readings, fit)
@@ -361,15 +377,15 @@ def shutter(profile: Any, sources: Annotated[Paths, "SESSION...", EXISTING_PATH]
     digest = sha256(find_camera_profile(click.get_current_context().params["camera"]))
     read = [shutters.from_session(open_session(path), digest) for path in sources]
     files = [file for _, sidecars in read for file in sidecars]
-    lawful = shutters.with_law_of(profile, files)
-    fit = shutters.fit([bracket for brackets, _ in read for bracket in brackets], lawful)
+    start = shutters.with_law_of(profile, files)
+    fit = shutters.fit([bracket for brackets, _ in read for bracket in brackets], start)
     times = []
-    for t, assumed_s, count in zip(fit.times, fit.assumed_s, fit.brackets, strict=True):
-        off_percent = round(100 * (t.true_s / assumed_s - 1), 3)
+    for time, assumed_s, count in zip(fit.times, fit.assumed_s, fit.brackets, strict=True):
+        off_percent = round(100 * (time.true_s / assumed_s - 1), 3)
         own = {"assumed_s": assumed_s, "brackets": count, "off_percent": off_percent}
-        times.append(asdict(t) | own)
+        times.append(asdict(time) | own)
     notes = [f"not used: {why}; capture more brackets in steady light" for why in fit.left_out]
-    changed = {"shutter": shutters.with_times(lawful, fit), "shutter_law": lawful.shutter_law}
+    changed = {"shutter": shutters.with_times(start, fit), "shutter_law": start.shutter_law}
     return FittedPart(changed, [fit.line], files, shutters.chart(fit), notes, {"times": times})
 
 
@@ -384,11 +400,11 @@ def pixels(profile: Any, sources: Annotated[Paths, "FRAME|FOLDER...", EXISTING_P
     Example:
       fieldlum calibrate pixels dark-*.dng --camera mine.toml --out mine.toml
     """
-    from fieldlum.calibrate import sensor as finder
+    from fieldlum.calibrate import sensor as calibration
 
-    defects, sensor = finder.find(sources, profile), profile.sensor
+    defects, sensor = calibration.find(sources, profile), profile.sensor
     bad_px = tuple(sorted({*sensor.bad_px, *defects.bad_px}))
-    changed, chart = {"sensor": replace(sensor, bad_px=bad_px)}, finder.pixel_chart(defects)
+    changed, chart = {"sensor": replace(sensor, bad_px=bad_px)}, calibration.pixel_chart(defects)
     return FittedPart(changed, [defects.line], defects.frames, chart)
 
 
@@ -405,17 +421,18 @@ def linearity(profile: Any, sources: Annotated[Paths, "FRAMES...", EXISTING_PATH
     Example:
       fieldlum calibrate linearity steady/ --camera mine.toml --out mine.toml
     """
-    from fieldlum.calibrate import sensor as curves
+    from fieldlum.calibrate import sensor as calibration
     from fieldlum.optics.raw import frame_files
 
+    # frames are read without the correction that is fitted here
     plain = replace(profile, sensor=replace(profile.sensor, linearity=(), exposure_offset_s=0.0))
-    levels = curves.read_levels(frame_files(*sources), plain)
-    fit = curves.fit(levels)
+    levels = calibration.read_levels(frame_files(*sources), plain)
+    fit = calibration.fit(levels)
     own = {"linearity": fit.coefficients, "linearity_u_rel": fit.u_rel}
     sensor = replace(profile.sensor, **own, exposure_offset_s=fit.offset_s)
-    changed, chart, lines = {"sensor": sensor}, curves.chart(levels, fit), [fit.choice.line]
-    figures = {"u_exposure_offset_s": fit.u_offset_s}
-    return FittedPart(changed, lines, levels.frames, chart, figures=figures)
+    chart, figures = calibration.chart(levels, fit), {"u_exposure_offset_s": fit.u_offset_s}
+    lines = [fit.choice.line]
+    return FittedPart({"sensor": sensor}, lines, levels.frames, chart, figures=figures)
 
 
 @_part
@@ -432,12 +449,12 @@ def stray(profile: Any, sources: Annotated[Path, "READINGS.csv", EXISTING_PATH])
     Example:
       fieldlum calibrate stray traps.csv --camera mine.toml --out mine.toml --picture stray.png
     """
-    from fieldlum.calibrate import stray as haze
+    from fieldlum.calibrate import stray as calibration
 
-    readings = haze.from_table(sources, profile)
-    fit = haze.fit(readings, sources)
+    readings = calibration.from_table(sources, profile)
+    fit = calibration.fit(readings, sources)
     changed = {"stray": fit.kernel, "glare_floor_rel": 0.0}  # the kernel's u_rel replaces the floor
-    frames = [sources, *dict.fromkeys(r.place.path for r in readings)]
-    chart = haze.chart(readings, fit)
+    frames = [sources, *dict.fromkeys(reading.place.path for reading in readings)]
+    chart = calibration.chart(readings, fit)
     figures = {"total_share": round(fit.total_share, 5)}
     return FittedPart(changed, [fit.choice.line], frames, chart, figures=figures)

@@ -76,7 +76,7 @@ def command(
     if pyranometer is None and not pyranometer_uri:
         terminal.say("note: no --pyranometer: irradiance is not logged")
     used = [uri for uri in (camera_uri, pyranometer_uri, meter_uri) if uri]
-    real = [uri for uri in used if not uri.startswith(("sim:", "replay:"))]
+    real = [uri for uri in used if not uri.startswith(("sim:", "replay:"))]  # of real devices
     if clock == "fast" and real:
         raise click.UsageError(f"--clock fast is for sim: and replay: devices, not {real[0]}")
     ticking, options = capture.prepare(session, fast=clock == "fast")
@@ -95,6 +95,7 @@ def command(
     ):
 
         def watch(live: Live) -> None:
+            """Show a new state of the capture here, and send faults to the addresses."""
             remote.check(live)
             display(live)
 
@@ -113,7 +114,10 @@ def command(
 
 
 def _show_end(root: Path, slots: list[SlotState]) -> None:
-    """Print the counts of brackets; raise DeviceError if more were aborted than done."""
+    """Print the counts of brackets; raise DeviceError if more were aborted than done.
+
+    root: the session's folder; slots: with their outcomes.
+    """
     outcomes = Counter(slot.outcome for slot in slots)
     done, missed, aborted = outcomes["done"], outcomes["missed"], outcomes["aborted"]
     with suppress(OSError):  # the terminal may be closed by now
@@ -143,7 +147,7 @@ def panel(live: Live, site: Site) -> RenderableType:
 
 
 def _rows(live: Live, zone: ZoneInfo) -> dict[str, str]:
-    """Return the rows of the panel, by name; zone: of the times."""
+    """Return the texts of the panel, by name of the row; zone: of the times."""
     from fieldlum.core.records import parse_utc
 
     upcoming = "none"
@@ -166,12 +170,13 @@ def _rows(live: Live, zone: ZoneInfo) -> dict[str, str]:
 
 
 def _counts(live: Live) -> str:
+    """Return how many slots are done, missed, aborted and left, as a text."""
     return f"{live.done} done, {live.missed} missed, {live.aborted} aborted, {live.left} left"
 
 
 @contextmanager
 def simulated() -> Iterator[Watch]:
-    """Yield a function that shows the progress of simulated time, with the real time left."""
+    """Yield a function that shows how many slots of a simulated capture are over."""
     with terminal.progress("capture") as show:
         yield lambda live: show(live.planned - live.left, live.planned, _counts(live))
 
@@ -180,16 +185,17 @@ def simulated() -> Iterator[Watch]:
 def shown(site: Site) -> Iterator[Watch]:
     """Yield a function that shows the state of a capture on stderr.
 
-    On a terminal it shows a panel. Otherwise it prints the counts of slots, at most 20 times in a
-    plan.
+    On a terminal it shows a panel. Otherwise it prints the counts of slots, about 20 times in a
+    plan. site: for name and local time.
     """
     if not terminal.is_terminal():
-        settled = -1
+        slots_over = -1
 
         def show(live: Live) -> None:
-            nonlocal settled
-            before, settled = settled, live.planned - live.left
-            if settled != before and settled % max(1, live.planned // 20) == 0:
+            """Print the counts after every twentieth of the planned slots."""
+            nonlocal slots_over
+            before, slots_over = slots_over, live.planned - live.left
+            if slots_over != before and slots_over % max(1, live.planned // 20) == 0:
                 terminal.say(f"{live.t_utc:%Y-%m-%dT%H:%M:%SZ}  {_counts(live)}")
 
         yield show

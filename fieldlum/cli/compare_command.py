@@ -37,10 +37,10 @@ def command(
     from fieldlum.report.compare import compare
     from fieldlum.year.predict import newest_annual
 
-    annual = newest_annual(session)
+    folder, annual = out or session.root / "compare", newest_annual(session)
     with progress("comparing"):
-        found = compare(session, result, out or session.root / "compare", view_azimuths, annual)
-    answer = {name: value for name, value in found._asdict().items() if name != "files"}
-    lines = table_lines(found.surfaces or found.directions)
-    print_answer(as_json, answer, [*lines, *found.text])
-    say("written: " + ", ".join(str(path) for path in found.files))
+        comparison = compare(session, result, folder, view_azimuths, annual)
+    answer = {name: value for name, value in comparison._asdict().items() if name != "files"}
+    lines = table_lines(comparison.surfaces or comparison.directions)
+    print_answer(as_json, answer, [*lines, *comparison.text])
+    say("written: " + ", ".join(str(path) for path in comparison.files))

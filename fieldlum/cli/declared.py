@@ -32,14 +32,14 @@ _ENTRY = re.compile(r"(?P<names>--[^\s:]+)(?: (?P<metavar>.+?))?: (?P<help>.+)")
 
 
 class _LocalPath(click.Path):
-    """A path of the file system.
+    """The type of an option or argument that is a path of the file system.
 
     URLs are rejected, because one would become a folder named "s3:". A missing path that must exist
     is an InputError, as for every missing file.
     """
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return a path of this computer; refuse an empty text and a URL."""
+        """Return the path; raise BadParameter for an empty text or a URL."""
         if value == "":  # as of an empty variable of the shell; Path would be the current folder
             self.fail("an empty text; expected a path", param, ctx)
         if "://" in str(value):
@@ -62,10 +62,12 @@ class Named(click.Choice[str]):
 def numbers(count: int, mark: str) -> Callable[[str], tuple[float, ...]]:
     """Return the type of an option of `count` numbers with a `mark` between, such as 9x6.
 
-    It converts the text to a tuple, and fails with click's error of usage for another text.
+    The type is a function that converts the option's text to a tuple. For any other text it raises
+    ValueError, which click prints as an error of usage.
     """
 
     def read(text: str) -> tuple[float, ...]:
+        """Return the numbers in a text."""
         with suppress(ValueError):
             values = tuple(float(part) for part in text.lower().split(mark))
             if len(values) == count and all(map(math.isfinite, values)):
@@ -91,11 +93,11 @@ FILE_PATH = _LocalPath(path_type=Path, dir_okay=False)
 def declare(
     function: Callable[..., Any], name: str, shared: Mapping[str, click.Parameter]
 ) -> click.Command:
-    """Return the command of a function; shared : options by the name of their parameter.
+    """Return a click command that calls a function; the function's parameters are its options.
 
-    The function's docstring is the help; below its line "Options:" is an entry for each option. A
-    parameter without an entry and without a text of its own in its type is a shared option, if one
-    has its name.
+    name: of the command. The function's docstring is the help; below its line "Options:" is an
+    entry for each option. shared: options by the name of their parameter, for parameters that have
+    neither an entry nor a text in their type.
     """
     text, _, options = inspect.cleandoc(function.__doc__ or "").partition("\n\nOptions:\n")
     lines = re.sub(r"\n {4,}", " ", options).splitlines()
@@ -104,6 +106,7 @@ def declare(
     parameters = []
     for parameter in inspect.signature(function).parameters.values():
         own = [entry for entry in entries if _is_of(parameter.name, entry["names"])]
+        # view_azimuth_deg belongs to --view-azimuth, although --view would fit
         entry = max(own, key=lambda entry: len(entry["names"]), default=None)
         declared = _parameter(parameter, hints[parameter.name], entry)
         is_shared = entry is None and declared.metavar is None
@@ -112,13 +115,13 @@ def declare(
 
 
 def _is_of(parameter: str, names: str) -> bool:
-    """Return whether an option, with its opposite if it has one, is that of a parameter."""
+    """Return whether an option sets a parameter; names: such as "--every" or "--fit/--no-fit"."""
     name = names.split("/")[0].removeprefix("--").replace("-", "_")
     return re.fullmatch(rf"(as_)?{name}s?(_\w*)?", parameter) is not None
 
 
 def _finite(ctx: click.Context, param: click.Parameter, value: Any) -> Any:
-    """Refuse NaN and infinity, which click reads as numbers."""
+    """Return the value of an option; raise BadParameter for NaN and infinity, which click reads."""
     for number in value if isinstance(value, tuple) else (value,):
         if isinstance(number, float) and not math.isfinite(number):
             raise click.BadParameter(f"{number} is not a finite number", ctx, param)
@@ -128,9 +131,12 @@ def _finite(ctx: click.Context, param: click.Parameter, value: Any) -> Any:
 def _parameter(
     parameter: inspect.Parameter, hint: Any, entry: re.Match[str] | None
 ) -> click.Parameter:
-    """Return the click option of a line of `Options:`, or the argument of a parameter without."""
+    """Return the click option of a parameter, or its argument if `entry` is None.
+
+    hint: the parameter's type; entry: its line below "Options:", as `_ENTRY` matches it.
+    """
     extras: tuple[Any, ...] = ()
-    if typing.get_origin(hint) is typing.Annotated:
+    if typing.get_origin(hint) is typing.Annotated:  # a text for the help, or a function
         hint, extras = hint.__origin__, hint.__metadata__
     if typing.get_origin(hint) in (typing.Union, types.UnionType):  # X | None
         hint = next(part for part in typing.get_args(hint) if part is not type(None))
@@ -160,5 +166,5 @@ def _parameter(
     settings["show_default"] = (
         not is_required and default not in (None, "", ()) and default is not False
     )
-    declarations, about = [parameter.name, entry["names"]], entry.groupdict()
-    return click.Option(declarations, metavar=about["metavar"], help=about["help"], **settings)
+    names = [parameter.name, entry["names"]]
+    return click.Option(names, metavar=entry["metavar"], help=entry["help"], **settings)

@@ -13,6 +13,7 @@ from fieldlum.cli.terminal import progress, say
 
 @contextmanager
 def _shown(name: str) -> Iterator[None]:
+    """Print the name of a stage, and show its progress in a `with` block."""
     say(f"-- {name}")
     with progress(name):
         yield

@@ -9,6 +9,7 @@ import click
 from fieldlum.cli import terminal
 from fieldlum.cli.options import OpenSession, command_of, device_uris
 
+# Word and colour of each verdict of a check.
 MARKS = {"ok": ("ok  ", "green"), "warn": ("look", "yellow"), "fail": ("FAIL", "red")}
 
 

@@ -1,12 +1,10 @@
 """`fieldlum glare`: glare of single pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import click
 
@@ -14,9 +12,6 @@ from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import Azimuths, command_of, new_file
 from fieldlum.cli.terminal import notes, print_answer, say, table_lines
 from fieldlum.core.records import JsonTable
-
-if TYPE_CHECKING:
-    from fieldlum.year.glare.uncertainty_budget import Budget
 
 _COLUMNS = (
     *("azimuth_deg", "dgp", "dgp_low", "dgp_high", "dgps", "ev_lx", "melanopic_edi_lx"),
@@ -73,7 +68,7 @@ def command(
     from fieldlum.session import open_session
     from fieldlum.session.codec import write_csv
     from fieldlum.year.glare.picture_glare import picture_glare
-    from fieldlum.year.glare.uncertainty_budget import budget_of_file, write_budgets
+    from fieldlum.year.glare.uncertainty_budget import Budget, budget_of_file, write_budgets
 
     folders = [open_session(path).panorama_files() if path.is_dir() else [path] for path in images]
     pictures = list(chain.from_iterable(folders))
@@ -82,7 +77,7 @@ def command(
     judge = partial(picture_glare, view_options=view_options, part=part, lamps=lamps)
     rows: list[dict[str, Any]] = []
     budgets: list[tuple[str, Budget]] = []
-    bad = 0
+    unreadable = 0
     for path in pictures:
         try:
             answer = judge(path, view_azimuths, reference=reference, measured_ev_lx=calibrate_ev_lx)
@@ -90,21 +85,24 @@ def command(
             rows += csv_rows(answer)
             print_answer(json_lines, answer, _lines(answer))
             if budget_path is not None:
-                seen = [view["azimuth_deg"] for view in answer["views"] if view["dgp"] is not None]
-                budgets += [(str(path), row) for row in budget_of_file(path, seen, lamps)]
+                seen_deg = [v["azimuth_deg"] for v in answer["views"] if v["dgp"] is not None]
+                budgets += [(str(path), row) for row in budget_of_file(path, seen_deg, lamps)]
         except InputError as error:
             say(f"fieldlum glare: {error}")
-            bad += 1
+            unreadable += 1
     if csv_path is not None:
         write_csv(csv_path, rows)
     if budget_path is not None and budgets:
         write_budgets(budget_path, budgets)
-    if bad:
+    if unreadable:
         raise SystemExit(InputError.exit_code)
 
 
 def csv_rows(answer: JsonTable) -> list[dict[str, object]]:
-    """Return one row of --csv, by column, for each view direction of a `glare` answer."""
+    """Return one row of --csv, by column, for each view direction of a `glare` answer.
+
+    Columns of the picture are repeated in each row; evalglare's figures begin with reference_.
+    """
     of_picture = {**answer, "warnings": "; ".join(answer["warnings"])}
     rows = []
     for view in answer["views"]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from datetime import datetime, timedelta
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,15 +16,18 @@ from fieldlum.cli.options import OpenSession, command_of
 if TYPE_CHECKING:
     from fieldlum.capture.match_card import Report
 
-_MAX_OFFSET = timedelta(hours=14)  # of the islands of Kiribati, the largest in use
+_MAX_UTC_OFFSET = timedelta(hours=14)  # of the islands of Kiribati, the largest in use
 
 
 def _utc_offset(text: str) -> float:
-    """Return the seconds of a UTC offset such as -08:00, or +05:30:12 with seconds."""
+    """Return a UTC offset such as -08:00, or +05:30:12 with seconds, in seconds.
+
+    Raises ValueError for another text, and for more than 14 hours.
+    """
     offset = None
     with suppress(ValueError):
         offset = datetime.strptime(text.strip(), "%z").utcoffset()
-    if offset is None or abs(offset) > _MAX_OFFSET:
+    if offset is None or abs(offset) > _MAX_UTC_OFFSET:
         raise ValueError(f"{text} is no UTC offset; write, for example, -08:00")
     return offset.total_seconds()
 
@@ -47,6 +49,10 @@ def _column(text: str) -> tuple[str, str]:
 
 
 def _sensitivity(text: str) -> tuple[str, float]:
+    """Return quantity and sensitivity [uV per W/m2] of a text such as "ghi_wm2=8.63".
+
+    Raises ValueError for another text, and for a sensitivity that no pyranometer has.
+    """
     match = re.fullmatch(r"([gd]hi_wm2|dni_wm2)=(\d+\.?\d*)", text)
     if match is None or not 0.1 <= float(match[2]) <= 1e4:
         raise ValueError(f"{text} is not QUANTITY=UV_PER_WM2: write, for example, ghi_wm2=8.63")
@@ -91,11 +97,11 @@ def command(
     from fieldlum.capture import import_card
     from fieldlum.core.records import counted
 
-    add = partial(import_card.run, session, folder, logger=irradiance_file)
-    add = partial(add, columns=dict(columns) or None, sensitivities=dict(sensitivity) or None)
-    add = partial(add, utc_offset_s=utc_offset_s, logger_utc_offset_s=logger_utc_offset_s)
+    clocks = {"utc_offset_s": utc_offset_s, "logger_utc_offset_s": logger_utc_offset_s}
+    of_logger: dict[str, Any] = {"logger": irradiance_file, "columns": dict(columns) or None}
+    of_logger["sensitivities"] = dict(sensitivity) or None
     with terminal.progress("import"):
-        report = add()
+        report = import_card.run(session, folder, **clocks, **of_logger)
     for line in _summary(report):
         terminal.say(line)
     frames, rows = counted(report.frames, "frame"), counted(report.rows, "row")
@@ -108,7 +114,10 @@ def command(
 
 
 def _summary(report: Report) -> list[str]:
-    """Return the lines that the terminal shows of an import of a card."""
+    """Return the lines that the terminal shows about an import: clocks, starts, notes.
+
+    At most 20 notes and 20 frames that were not imported are listed.
+    """
     from statistics import median
 
     from fieldlum.capture.match_card import offset_text, offsets_text

@@ -23,13 +23,13 @@ def command(files: tuple[Path, ...], part: str = "", json_lines: bool = False) -
     Options:
       --json: Print one JSON object for each file, one per line.
     """
-    bad = 0
+    unreadable = 0
     for path in files:
         try:
             facts = {"file": str(path), **describe(path, part)}
         except InputError as error:
             say(f"fieldlum info: {error}")
-            bad += 1
+            unreadable += 1
             continue
         if json_lines:
             emit_json(facts)
@@ -39,12 +39,15 @@ def command(files: tuple[Path, ...], part: str = "", json_lines: bool = False) -
                 is_table = isinstance(value, list) and value and isinstance(value[0], dict)
                 for row in value if is_table else [value]:
                     tell(f"  {name:24} {_short(row)}".replace("\n", " "))
-    if bad:
+    if unreadable:
         raise SystemExit(InputError.exit_code)
 
 
 def _short(value: Any) -> str:
-    """Return a value as text, which may be shortened; `--json` has all of it."""
+    """Return a value as text of at most 200 characters and an ellipsis; `--json` prints all of it.
+
+    A table becomes a list of names and values.
+    """
     pairs = value.items() if isinstance(value, dict) else ()
     text = ", ".join(f"{name} {shown}" for name, shown in pairs) or str(value)
     return text if len(text) <= 200 else f"{text[:200]} ..."
@@ -53,9 +56,9 @@ def _short(value: Any) -> str:
 def describe(path: Path, part: str = "") -> Facts:
     """Return what `fieldlum info` prints about a file or folder, by name, without its path.
 
-    Which names there are depends on the kind of file (docs/cli.md).
-    part: name of the part, layer or stereo view of an .exr; "" for the only one. Raises InputError
-    if the file is missing, invalid or of an unknown kind.
+    The names depend on the kind of file (docs/cli.md). path: a file, a folder, or the name of a
+    shipped camera profile. part: name of the part, layer or stereo view of an .exr; "" for the only
+    one. Raises InputError if the file is missing, invalid or of an unknown kind.
     """
     from fieldlum.optics.profiles import camera_names, find_camera_profile
     from fieldlum.session.codec import change_of
@@ -68,7 +71,7 @@ def describe(path: Path, part: str = "") -> Facts:
         near = did_you_mean(str(path), camera_names())
         raise InputError(path, "no such file or folder", remedy=f"check the path{near}")
     suffix = path.suffix.lower()
-    change_of(path)
+    change_of(path)  # a warning if the file differs from its recorded checksum
     if suffix == ".exr":
         return _exr(path, part)
     readers = {".hdr": _radiance, ".toml": _toml, ".csv": _csv, ".jpg": _jpeg, ".jpeg": _jpeg}
@@ -76,12 +79,12 @@ def describe(path: Path, part: str = "") -> Facts:
 
 
 def _size(picture: Any) -> str:
-    """Return width x height of an array [h, w, ...]."""
+    """Return "width x height" of an array [h, w, ...], in pixels."""
     return f"{picture.shape[1]} x {picture.shape[0]}"
 
 
 def _light(luminance_cdm2: Any) -> Facts:
-    """Return size, median and largest finite luminance."""
+    """Return size, median and largest luminance of a map [h, w]; NaN and infinity do not count."""
     import numpy as np
 
     values = luminance_cdm2[np.isfinite(luminance_cdm2)]
@@ -90,7 +93,7 @@ def _light(luminance_cdm2: Any) -> Facts:
 
 
 def _exr(path: Path, part: str) -> Facts:
-    """Return facts about a panorama, or about a picture with the view that `glare` uses."""
+    """Return facts about a panorama, or about a picture and the view that `glare` would use."""
     import numpy as np
 
     from fieldlum.core.records import utc_text
@@ -112,6 +115,7 @@ def _exr(path: Path, part: str) -> Facts:
 
 
 def _radiance(path: Path) -> Facts:
+    """Return facts about a Radiance picture (.hdr)."""
     from fieldlum.optics.images import read_radiance_hdr
 
     image, header = read_radiance_hdr(path)
@@ -120,7 +124,10 @@ def _radiance(path: Path) -> Facts:
 
 
 def _toml(path: Path) -> Facts:
-    """Return the keys of a TOML file of fieldlum, which must be valid, and its kind."""
+    """Return the kind of a TOML file of fieldlum, and its keys with their values.
+
+    Raises InputError for an invalid file, or one of another program.
+    """
     from fieldlum.core.strict_toml import build, read_toml
     from fieldlum.devices.ascii_lines import load_ascii_profile
     from fieldlum.devices.modbus import load_register_profile
@@ -139,11 +146,12 @@ def _toml(path: Path) -> Facts:
         found = f"a TOML file with the tables {', '.join(table) or '(none)'}"
         expected = "a site, a camera profile, an instrument profile ([[entry]]) or a session"
         raise InputError(path, found, expected, "name such a file")
+    # the kind is first, and a key "kind" in the file does not replace it
     return {"kind": kind, **_flat(table)} | {"kind": kind}
 
 
 def _flat(table: Facts, prefix: str = "") -> Facts:
-    """Return nested tables as one, with names such as scale.k."""
+    """Return nested tables as one table with names such as scale.k; prefix: of the names."""
     flat: Facts = {}
     for name, value in table.items():
         key = prefix + name
@@ -152,12 +160,14 @@ def _flat(table: Facts, prefix: str = "") -> Facts:
 
 
 def _csv(path: Path) -> Facts:
+    """Return columns and number of rows of a csv; lines that begin with # do not count."""
     lines = read_bytes(path).decode(errors="replace").splitlines()
     head, *rows = [line for line in lines if not line.startswith("#")] or [""]
     return {"kind": "table", "rows": len(rows), "columns": head}
 
 
 def _jpeg(path: Path) -> Facts:
+    """Return size and exposure of a JPEG frame."""
     from fieldlum.optics.raw import read_jpeg
     from fieldlum.session import exposure_text
 
@@ -167,7 +177,7 @@ def _jpeg(path: Path) -> Facts:
 
 
 def _raw(path: Path) -> Facts:
-    """Return the facts of a raw frame."""
+    """Return camera, size, exposure and levels [DN] of a raw frame."""
     from fieldlum.optics.raw import read_mosaic
     from fieldlum.session import exposure_text
 
@@ -185,7 +195,10 @@ def _raw(path: Path) -> Facts:
 
 
 def _folder(path: Path) -> Facts:
-    """Return the facts of a session, a model or a predicted year by its folder."""
+    """Return facts about the session, the model or the predicted year in a folder.
+
+    Raises InputError for another folder.
+    """
     from fieldlum.session.codec import read_object
     from fieldlum.session.files.model_files import ModelConfig
 

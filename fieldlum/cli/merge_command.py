@@ -60,8 +60,8 @@ def command(
     if frames:
         assert camera and out is not None
         new_file(out, force)
-        is_panorama = projection == "equirect"
-        options = merge.MergeOptions(picture_height(size, 1 + is_panorama), projection, fit)
+        height_px = picture_height(size, ratio=2 if projection == "equirect" else 1)
+        options = merge.MergeOptions(height_px, projection, fit)
         files, profile = frame_files(source, *more), load_camera_profile(camera)
         notes(filter(None, [uncalibrated_text(profile)]))
         with progress("Merge"):
@@ -79,11 +79,12 @@ def command(
     options = merge.MergeOptions(picture_height(size or _present_size(session)), fit=fit)
     with progress("Merge"):
         verdicts = merge.run(session, options, scheduler=scheduler, force=force)
-    lines = [f"{v.slot} {v.state}: {v.text}" for v in verdicts]
-    print_answer(as_json, {"slots": [v.table() for v in verdicts]}, lines)
-    counts = Counter(v.state for v in verdicts)
+    lines = [f"{verdict.slot} {verdict.state}: {verdict.text}" for verdict in verdicts]
+    print_answer(as_json, {"slots": [verdict.table() for verdict in verdicts]}, lines)
+    counts = Counter(verdict.state for verdict in verdicts)
     if not as_json:
-        say(", ".join(f"{counts[s]} {s}" for s in ("merged", "kept", "failed") if counts[s]))
+        states = [state for state in ("merged", "kept", "failed") if counts[state]]
+        say(", ".join(f"{counts[state]} {state}" for state in states))
         if (sheet := session.panoramas / "contact-1.png").is_file():
             say(f"look at {sheet}")
     if counts["failed"]:
@@ -91,15 +92,19 @@ def command(
 
 
 def _present_size(session: Session) -> str | None:
-    """Return the size of the session's panoramas, for later brackets; None without any."""
+    """Return the size of the session's panoramas as --size states it, None without any.
+
+    Brackets that are merged later get the same size.
+    """
     from fieldlum.session.files.sidecar import newest_sidecar
 
-    before = newest_sidecar(session)
-    height = None if before is None else before.inputs.get("height")
+    newest = newest_sidecar(session)
+    height = None if newest is None else newest.inputs.get("height")
     return f"{2 * height}x{height}" if isinstance(height, int) else None
 
 
 def _lines(out: Path, result: MergeResult, facts: dict[str, float]) -> list[str]:
+    """Return the lines that the terminal shows of a merged picture; facts: figures by name."""
     neighbours = table_lines(result.quality["neighbours"], indent="  ")
     figures = [f"  {name}: {value:.5g}" for name, value in facts.items()]
     return [f"{out}: {result.verdict}", *neighbours, *figures]

@@ -70,9 +70,13 @@ def command(
 
 
 class Dialogue:
-    """Questions at a terminal; their answers are in a file, offered again after an interruption."""
+    """Questions at a terminal, whose answers are stored in a file.
+
+    After an interruption the answers are offered again.
+    """
 
     def __init__(self, site_file: Path) -> None:
+        """Read earlier answers for the same SITE.toml, if there are any."""
         self.site_file, self.path = site_file, site_file.with_name(f"{site_file.name}.answers")
         self.answers: dict[str, str] = {}
         with suppress(OSError, ValueError, TypeError):
@@ -87,7 +91,10 @@ class Dialogue:
         """
 
         def checked(text: str) -> T:
-            """Return the value of an answer, and store the answer; a wrong one is asked again."""
+            """Return the value of an answer, and store the answer.
+
+            Raises click.UsageError for a wrong answer, after which click asks again.
+            """
             try:
                 value = reader(text.strip())
             except (InputError, ValueError) as error:
@@ -108,13 +115,20 @@ class Dialogue:
             raise InputError(self.site_file, finding, expected, remedy) from None
 
 
+# Readers of answers: they return the value of a text, and raise ValueError or a click error for a
+# text that is no answer.
+
+
 def _name(text: str) -> str:
+    """Return the name of a site."""
     if not text or not text.isprintable():
         raise ValueError("a name of printable characters")
     return text
 
 
 def _number(low: float, high: float) -> Callable[[str], float]:
+    """Return a reader of a number from `low` to `high`, also with a decimal comma."""
+
     def reader(text: str) -> float:
         value = click.FLOAT(text.replace(",", "."))
         if not low <= value <= high:
@@ -124,20 +138,27 @@ def _number(low: float, high: float) -> Callable[[str], float]:
     return reader
 
 
-def _angle(limit: float, winds: str) -> Callable[[str], float]:
+def _angle(limit_deg: float, letters: str) -> Callable[[str], float]:
+    """Return a reader of a latitude or longitude in degrees, such as 122.33 W.
+
+    letters: of the positive and of the negative direction, such as "EW".
+    """
+
     def reader(text: str) -> float:
-        sign = -1.0 if text[-1:].upper() == winds[1] else 1.0
-        return sign * _number(-limit, limit)(text.rstrip(f" °{winds}{winds.lower()}"))
+        sign = -1.0 if text[-1:].upper() == letters[1] else 1.0
+        number = text.rstrip(f" °{letters}{letters.lower()}")
+        return sign * _number(-limit_deg, limit_deg)(number)
 
     return reader
 
 
 def _azimuths(text: str) -> tuple[float, ...]:
+    """Return azimuths in degrees, of a text such as "180, NW"; empty for "-"."""
     from fieldlum.optics.projection import compass_name
 
-    points = {compass_name(22.5 * k): f"{22.5 * k}" for k in range(16)}
+    degrees_of = {compass_name(22.5 * k): f"{22.5 * k}" for k in range(16)}
     parts = [] if text == "-" else text.split(",")
-    return tuple(_number(0.0, 360.0)(points.get(p.strip().upper(), p)) for p in parts)
+    return tuple(_number(0.0, 360.0)(degrees_of.get(p.strip().upper(), p)) for p in parts)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -145,7 +166,7 @@ def _azimuths(text: str) -> tuple[float, ...]:
 
 
 def _site(dialogue: Dialogue) -> Site:
-    """Ask for the place until its coordinates and time zone agree."""
+    """Ask for the place, again until its coordinates and time zone agree; return the answers."""
     from zoneinfo import available_timezones
 
     from fieldlum.session.site_toml import site_from_table, wrong_sign_text
@@ -154,6 +175,7 @@ def _site(dialogue: Dialogue) -> Site:
     zones = available_timezones()
 
     def zone(text: str) -> str:
+        """Return the name of a time zone that exists."""
         if text not in zones:
             raise ValueError(f"unknown time zone '{text}'{did_you_mean(text, zones)}")
         return text
@@ -178,7 +200,10 @@ def _site(dialogue: Dialogue) -> Site:
 
 
 def _camera(dialogue: Dialogue) -> CameraSetup:
-    """Ask for the camera: its profile, heading and height, and headings to which it is turned."""
+    """Ask for the camera's profile, heading and height, and headings to which it is turned.
+
+    Return the answers; unknown values are listed in `assumed`.
+    """
     from fieldlum.optics.profiles import camera_names, load_camera_profile
 
     names = camera_names()
@@ -187,12 +212,16 @@ def _camera(dialogue: Dialogue) -> CameraSetup:
     click.echo("Another camera: fieldlum new CAMERA.toml --camera SIMILAR --photo FRAME")
 
     def profile(text: str) -> str:
-        """Return name or path of the profile that an answer means; "" for none."""
+        """Return name or path of the profile that an answer means; "" for none.
+
+        The answer may be a number of the list, a path, or words of one name.
+        """
         if text.lower() in ("none", "none yet"):
             return ""
         if text.isdigit() and 0 < int(text) <= len(names):
             text = names[int(text) - 1]
-        similar = [n for n in names if text and all(w in n for w in text.lower().split())]
+        words = text.lower().split()
+        similar = [name for name in names if text and all(word in name for word in words)]
         chosen = similar[0] if len(similar) == 1 and text not in names else text
         if not Path(chosen).is_file() and chosen not in names:
             which = f"; is it {' or '.join(similar)}?" if similar else ""
@@ -216,7 +245,10 @@ def _camera(dialogue: Dialogue) -> CameraSetup:
 
 
 def site_text(setup: SiteFile) -> str:
-    """Return the text of a SITE.toml, without [pyranometer]; `load_site` reads it."""
+    """Return the text of a SITE.toml, without [pyranometer].
+
+    Values that were only assumed are comments, so that the user states them later.
+    """
     import tomli_w
 
     from fieldlum.session.site_toml import site_table
@@ -235,7 +267,11 @@ def site_text(setup: SiteFile) -> str:
 
 
 def _write_own_camera(path: Path, start: str, photo: Path | None) -> None:
-    """Write an own profile that starts from another one, with size and camera of a photo."""
+    """Write a profile of an own camera, and print what to do next.
+
+    start: the profile to start from, a name or a path; photo: a frame of the camera, which states
+    its size and model; None to copy them from `start`.
+    """
     from fieldlum.optics.profiles import load_camera_profile, save_profile, uncalibrated_text
 
     profile = started_profile(load_camera_profile(start), start)
@@ -255,13 +291,15 @@ def _write_own_camera(path: Path, start: str, photo: Path | None) -> None:
 
 
 def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
-    """Return a profile without a date of calibration; start: the name of the given profile.
+    """Return an uncalibrated profile with the values of `profile`; start: name of the latter.
 
-    Uncertainties become those of a guess: a value that another camera calibrated is not measured.
+    It has no date of calibration, and its uncertainties are at least those of a guess, because
+    values of another camera are not measured.
     """
     from fieldlum.optics.profiles import Provenance
 
     def guessed(lens: Lens) -> Lens:
+        """Return the lens with the uncertainty of a guessed vignetting."""
         vague = tuple(replace(v, u_rel=_GUESSES["vignetting"]) for v in lens.vignetting)
         return replace(lens, vignetting=vague)
 
@@ -279,9 +317,9 @@ def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
 def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
     """Return a profile with the size, model, aperture and megabytes of a frame of another camera.
 
-    From a raw frame it gets white level and colour filters too, and black and white level are
-    printed. Image circles are scaled with the height. Raises InputError for a frame of another
-    kind.
+    From a raw frame it gets white level and colour filters too, and black and white level [DN] are
+    printed. Image circles are scaled with the height. Raises InputError for a JPEG if the profile
+    is of raw frames, and the reverse.
     """
     from fieldlum.optics.profiles import Sensor
     from fieldlum.optics.raw import is_jpeg, jpeg_size, read_exif, read_mosaic
@@ -302,12 +340,14 @@ def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
         height, width = mosaic.counts.shape
         sensor = Sensor(cfa=mosaic.cfa, white_dn=mosaic.white_dn, iso=iso)
         click.echo(f"black level {mosaic.black_dn[0]:g} DN, white level {mosaic.white_dn:g} DN")
-    higher, wider = height / before.height_px, width / before.width_px
+    x_scale, y_scale = width / before.width_px, height / before.height_px
 
     def scaled(lens: Lens) -> Lens:
-        centre = (lens.centre_px[0] * wider, lens.centre_px[1] * higher)
-        rings = tuple(replace(ring, f_number=f_number) for ring in lens.vignetting)
-        return replace(lens, centre_px=centre, radius_px=lens.radius_px * higher, vignetting=rings)
+        """Return the lens for the frame's size and aperture."""
+        x_px, y_px = lens.centre_px
+        centre_px, radius_px = (x_px * x_scale, y_px * y_scale), lens.radius_px * y_scale
+        curves = tuple(replace(curve, f_number=f_number) for curve in lens.vignetting)
+        return replace(lens, centre_px=centre_px, radius_px=radius_px, vignetting=curves)
 
     name = f"{info.model or 'unnamed camera'}, started from {before.name}"
     megabytes = round(photo.stat().st_size / 1e6, 1)

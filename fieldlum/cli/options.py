@@ -38,13 +38,14 @@ DEVICES = ("camera", "pyranometer", "meter")
 
 
 def _open_session(text: str) -> Session:
-    """Return the session of a folder."""
+    """Return the session in the folder that SESSION names."""
     from fieldlum.session import open_session
 
     return open_session(PATH.convert(text, None, None))
 
 
 def _scheduler(text: str) -> Scheduler:
+    """Return the scheduler that --scheduler names."""
     from fieldlum.core.scheduler import parse_scheduler
 
     return parse_scheduler(text)
@@ -96,12 +97,13 @@ SHARED = {str(parameter.name): parameter for parameter in declare(_shared, "shar
 def command_of(
     name: str, group: click.Group | None = None
 ) -> Callable[[Callable[..., Any]], click.Command]:
-    """Return a decorator that makes a command of a function, as `declared` describes.
+    """Return a decorator that turns a function into a command, as `declared` describes.
 
-    name: of the command; group: of its commands, None for `fieldlum` itself.
+    name: of the command; group: to which it is added, None for a command of `fieldlum` itself.
     """
 
     def decorate(function: Callable[..., Any]) -> click.Command:
+        """Return the command that replaces the function."""
         created = declare(function, name, SHARED)
         if group is not None:
             group.add_command(created)
@@ -115,7 +117,7 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
 
     given: the values of the three options; None takes the URI of the session's last capture. A
     given URI that names a program, a file or another computer is permitted from now on. Raises
-    InputError for one of the session that was never permitted on this computer.
+    InputError for a URI in the session that was never permitted on this computer.
     """
     from fieldlum.cli.terminal import say
     from fieldlum.core.errors import DeviceError
@@ -138,9 +140,9 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
 
 
 def new_file(path: Path | None, force: bool) -> None:
-    """Raise InputError if the file `path` to write exists already, unless `force`.
+    """Raise InputError if a file to write exists already, unless `force`.
 
-    path: None is no file, and accepted.
+    path: the file; None: there is no file to write.
     """
     from fieldlum.core.errors import InputError
 
@@ -155,16 +157,16 @@ DEFAULT_SIZE, DEFAULT_FISHEYE_SIZE = "460x230", "1000x1000"
 
 
 def picture_height(size: str | None, ratio: int = 2) -> int:
-    """Parse --size WxH to its height [px]; ratio: W / H, 2 of a panorama, 1 of a fisheye.
+    """Return the height [px] that --size WxH states; ratio: W / H, 2 of a panorama, 1 of a fisheye.
 
-    size: None for the default of this ratio. Raises click.UsageError for another ratio, or a height
-    outside 8 to 8192 (a panorama of 0.5 GB).
+    size: such as "460x230"; None for the default of this ratio. Raises click.UsageError for another
+    ratio, or a height outside 8 to 8192 (a panorama of 0.5 GB).
     """
     example = DEFAULT_SIZE if ratio == 2 else DEFAULT_FISHEYE_SIZE
     size = size or example
     width, _, height = size.lower().partition("x")
-    numbers = [int(text) if text.isdecimal() else 0 for text in (width, height)]
-    if numbers[0] != ratio * numbers[1] or not 8 <= numbers[1] <= 8192:
+    width_px, height_px = (int(t) if t.isdecimal() else 0 for t in (width, height))
+    if width_px != ratio * height_px or not 8 <= height_px <= 8192:
         rule = "a panorama is twice as wide as high" if ratio == 2 else "a fisheye is square"
         raise click.UsageError(f"--size {size}: {rule}, 8 to 8192 pixels high, like {example}")
-    return numbers[1]
+    return height_px

@@ -27,7 +27,7 @@ def command(session: OpenSession, scheduler: Any = "local", force: bool = False)
     terminal.notes(health.warnings)
     with terminal.progress("pair"):
         pairs = pair.run(session, force=force, scheduler=scheduler)
-    usable = sum(p.ok for p in pairs)
+    usable = sum(row.ok for row in pairs)
     click.echo(
         f"{session.pairs}: {usable} of {counted(len(pairs), 'panorama')} paired, "
         f"{counted(health.rows, 'row')} of irradiance"
@@ -38,7 +38,8 @@ def command(session: OpenSession, scheduler: Any = "local", force: bool = False)
             f"is seen: look at {session.sky_view.with_suffix('.png')}"
         )
         terminal.notes(view.notes)
-    cautions = (c for p in pairs if p.ok for c in p.why.split("; ") if c)
-    for kind, texts in (("refused", (p.why for p in pairs if not p.ok)), ("caution", cautions)):
+    refused = (row.why for row in pairs if not row.ok)
+    cautions = (text for row in pairs if row.ok for text in row.why.split("; ") if text)
+    for kind, texts in (("refused", refused), ("caution", cautions)):
         for text, count in Counter(texts).most_common(5):
             terminal.say(f"{kind} {count}: {text}")

@@ -1,7 +1,5 @@
 """`fieldlum plan`: choose the hours to capture and write the session."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -56,6 +54,7 @@ def command(
     day = start.date() if start else None
     dates = (out, day, year, days, count)
     example = "for example: fieldlum plan SITE.toml --set 9-day --out my-session"
+    # texts of the errors of usage, each with the condition under which it is printed
     wrong = {
         "--replan works on a session, with its dates: omit --set, --out, --start, --year, --days "
         "and --count": replan and (set_ or any(dates)),
@@ -77,8 +76,9 @@ def command(
     if text := next((text for text, is_wrong in wrong.items() if is_wrong), ""):
         raise click.UsageError(text)
     setup = open_session(target).site_file() if replan else load_site(target)
-    site, shift, now = setup.site, label_shift_min, datetime.now(UTC)
-    weather = weather_file and read_weather(weather_file, site, label_shift_min=shift)
+    site, now, weather = setup.site, datetime.now(UTC), None
+    if weather_file:
+        weather = read_weather(weather_file, site, label_shift_min=label_shift_min)
     on_sheet: list[str] = []
     if replan:
         session = open_session(target)
@@ -87,9 +87,9 @@ def command(
     else:
         assert out is not None and set_ is not None
         today = plan.today_at(site, now)
-        asked = plan.Request(set_, today, start=day, year=year, days=days, count=count)
+        request = plan.Request(set_, today, start=day, year=year, days=days, count=count)
         with terminal.progress("choosing hours"):
-            session, planned = plan.run(setup, asked, out, weather)
+            session, planned = plan.run(setup, request, out, weather)
         terminal.notes(planned.warnings)
         answer = plan.summary(session, planned)
         sentences = plan.sentences(answer)

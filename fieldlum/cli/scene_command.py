@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from fieldlum.cli import terminal
-from fieldlum.cli.options import OpenSession, Port, command_of
-from fieldlum.cli.terminal import notes, print_answer, progress, say, table_lines
+from fieldlum.cli.options import Above0, OpenSession, Port, command_of
+from fieldlum.cli.terminal import notes, print_answer, progress, say, table_lines, unattended
 from fieldlum.core.records import JsonTable
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ def fit(
     pairs: Path,
     site: Path | None = None,
     out: Path | None = None,
-    clock_sd: Annotated[float, click.FloatRange(min=0, min_open=True)] = 5.0,
+    clock_sd: Above0 = 5.0,
     as_json: bool = False,
 ) -> None:
     """Find north, clock, windows and furniture from captured sun patches.
@@ -62,28 +61,28 @@ def fit(
 def answer_of(scene: Scene) -> JsonTable:
     """Return the object that `scene fit --json` prints.
 
-    The names of `Scene`: north_deg, clock_min, u, chosen, verdict, trusted, hours, notes.
+    Keys of `Scene`: north_deg, clock_min, u, chosen, verdict, trusted, hours, notes. Other keys:
     misfit_before, misfit_after, misfit_none: of the stated room, the fitted room and no patch;
     camera_m: x, y, z; window: wall, left_m, width_m, sill_m, height_m. expected_log10_mse,
     trusted_share: None; `train --json` has them.
     """
     room = scene.room
-    names = ("wall", "left_m", "width_m", "sill_m", "height_m")
-    same = ("north_deg", "clock_min", "u", "chosen", "verdict", "trusted", "hours")
+    of_scene = ("north_deg", "clock_min", "u", "chosen", "verdict", "trusted", "hours")
+    of_window = ("wall", "left_m", "width_m", "sill_m", "height_m")
     misfits = {"misfit_before": "stated", "misfit_after": "fitted", "misfit_none": "none"}
     return {
-        **{name: getattr(scene, name) for name in same},
+        **{name: getattr(scene, name) for name in of_scene},
         **{name: scene.misfit.get(key) for name, key in misfits.items()},
         # keys of earlier versions, which scripts may read
         **dict.fromkeys(("expected_log10_mse", "trusted_share")),
         "camera_m": [room.camera_x_m, room.camera_y_m, room.camera_z_m],
-        "window": [{name: getattr(window, name) for name in names} for window in room.window],
+        "window": [{name: getattr(window, name) for name in of_window} for window in room.window],
         "notes": list(scene.notes),
     }
 
 
 def _lines(scene: Scene) -> list[str]:
-    """Return the lines that the terminal shows of a fitted scene."""
+    """Return the lines that the terminal shows of a fitted scene: its values, and the verdict."""
     rows = [
         {"name": name, "stated": scene.before[name], "fitted": value, "u": scene.u[name]}
         for name, value in scene.after.items()
@@ -128,7 +127,7 @@ def click_corners(
         served = server.prepare(click_room.click_routes(picture, height_m), port, lan=False)
         click.echo(served.address)
         sys.stdout.flush()
-        with terminal.unattended():
+        with unattended():
             served.run()
         return
     from fieldlum.room.scene.clicked import read_clicks, room_from_clicks
@@ -136,7 +135,7 @@ def click_corners(
     clicked = room_from_clicks(read_clicks(csv_path), picture.grid, height_m, where=str(csv_path))
     table = click_room.clicked_table(clicked)
     path, is_written = click_room.save_room(session, clicked, replace_room=force)
-    lines = [f"{r['name']:22} {r['value']:9.3f} +- {r['u']:.3f}" for r in table["rows"]]
+    lines = [f"{row['name']:22} {row['value']:9.3f} +- {row['u']:.3f}" for row in table["rows"]]
     lines.append(f"the south wall faces {table['faces']}; misfit {clicked.misfit_px:.2f} px rms")
     print_answer(as_json, {**table, "file": str(path), "taken": is_written}, lines)
     if as_json:

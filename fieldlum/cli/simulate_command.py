@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -82,11 +81,11 @@ def command(
     chosen = quality or ("quick" if height <= 115 else "paper")
     if session is None and out is not None:
         with terminal.progress("planning"):
-            session = _planned(out, setup, weather, (set_ or "9-day", year or 2027, count, seed))
+            session = _planned(out, setup, weather, set_ or "9-day", year or 2027, count, seed)
     assert session is not None
-    render = partial(simulate.run, session, weather, height=height, quality=chosen, force=force)
+    picture: dict[str, Any] = {"height": height, "quality": chosen, "coloured": colour}
     with terminal.progress("simulating"):
-        result = render(coloured=colour, scheduler=scheduler)
+        result = simulate.run(session, weather, **picture, scheduler=scheduler, force=force)
     answer = {"session": str(session.root), "rendered": result.rendered, "kept": result.kept}
     answer |= {"dark": result.dark, "weather": result.weather, "size": size, "quality": chosen}
     dark = f", {result.dark} slots without light" if result.dark else ""
@@ -95,12 +94,17 @@ def command(
     terminal.print_answer(as_json, answer, [line])
 
 
-def _planned(out: Path, setup: SiteFile, weather: Weather, asked: tuple) -> Session:
-    """Write a new session of planned slots, or of `count` daylight hours of the weather."""
+def _planned(
+    out: Path, setup: SiteFile, weather: Weather, set_: str, year: int, count: int | None, seed: int
+) -> Session:
+    """Write a new session to `out`, and return it.
+
+    Its slots are those of the capture set in the year; with `count` they are that number of random
+    daylight hours of the weather. seed: of the random choice.
+    """
     from fieldlum import plan
     from fieldlum.room import simulate
 
-    set_, year, count, seed = asked
     if count is not None:
         slots = simulate.sample_slots(setup, weather, count, seed)
         about: PlanTable = {"set": "year-sample", "count": count, "seed": seed}

@@ -1,14 +1,8 @@
 """`fieldlum status`: show what a session has done and what is still to do."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from fieldlum.cli import terminal
 from fieldlum.cli.options import OpenSession, command_of
-
-if TYPE_CHECKING:
-    from fieldlum.core.records import JsonTable
+from fieldlum.core.records import JsonTable
 
 
 @command_of("status")
@@ -31,24 +25,24 @@ def command(
 
     if mark is not None:
         terminal.say(f"{mark[0]}: {mark_slot(session, *mark) or 'as usual'}")
-    stages = stage_status(session)
-    terminal.print_answer(as_json, stages, _lines(stages))
+    answer = stage_status(session)
+    terminal.print_answer(as_json, answer, _lines(answer))
 
 
-def _lines(s: JsonTable) -> list[str]:
-    """Return the lines that the terminal shows of an answer `s` of `status --json`."""
+def _lines(answer: JsonTable) -> list[str]:
+    """Return the lines that the terminal shows of an answer of `status --json`."""
     from fieldlum.core.records import counted
     from fieldlum.session.journal import damage_text
 
-    plan, capture, log = s["plan"], s["capture"], s["irradiance"]
-    merge, pair = s["merge"], s["pair"]
+    plan, capture, log = answer["plan"], answer["capture"], answer["irradiance"]
+    merge, pair = answer["merge"], answer["pair"]
     truth = " of the simulated truth" if pair["usable"] and not pair["done"] else ""
-    models = ", ".join(s["train"]["models"]) or "none"
+    models = ", ".join(answer["train"]["models"]) or "none"
     of_set = f" ({plan['set']})" if plan["set"] else ""
     damaged = damage_text(capture["damaged_lines"])
     upcoming = f", next {capture['next']}" if capture["next"] else ""
     return [
-        f"{s['session']}: {s['name']}",
+        f"{answer['session']}: {answer['name']}",
         f"plan        {counted(plan['slots'], 'slot')}{of_set}",
         f"capture     {capture['done']} done, {capture['missed']} missed, {capture['aborted']} "
         f"aborted, {capture['owed']} to do{upcoming}; {counted(capture['frames'], 'frame')}"
@@ -57,7 +51,7 @@ def _lines(s: JsonTable) -> list[str]:
         f"merge       {merge['done']} done, {merge['owed']} to do",
         f"pair        {pair['done']} done, {pair['usable']} usable{truth}, {pair['owed']} to do",
         f"train       {models}",
-        f"predict     {', '.join(s['predict']['years']) or 'none'}",
-        f"report      {'done' if s['report']['done'] else 'none'}",
-        f"next        {s['next_step']}",
+        f"predict     {', '.join(answer['predict']['years']) or 'none'}",
+        f"report      {'done' if answer['report']['done'] else 'none'}",
+        f"next        {answer['next_step']}",
     ]

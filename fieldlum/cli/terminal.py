@@ -18,6 +18,7 @@ FIRST_LINE_S, LINE_EVERY_S = 2.0, 60.0
 
 
 def _plain(value: Any) -> Any:
+    """Return an object that json cannot write as a list, if it is an array, else as text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
@@ -29,24 +30,24 @@ def emit_json(answer: Any) -> None:
 
 
 def print_answer(as_json: bool, answer: Any, lines: Iterable[str]) -> None:
-    """Print the answer of a command on stdout: one JSON object, or lines of text.
+    """Print the answer of a command on stdout: `answer` as one JSON object, or lines of text.
 
-    as_json: whether it is the JSON object of `answer`; else the texts `lines` are printed.
+    as_json: whether to print the JSON object; if not, `lines` are printed.
     """
     if as_json:
         emit_json(answer)
-        return
-    for line in lines:
-        tell(line)
+    else:
+        for line in lines:
+            tell(line)
 
 
 def table_lines(
     rows: Iterable[Mapping[str, Any]], names: Iterable[str] = (), indent: str = ""
 ) -> list[str]:
-    """Return rows as an aligned table: numbers to the right, texts to the left, "-" for None.
+    """Return the lines of an aligned table: numbers to the right, texts to the left, "-" for None.
 
-    names: of the values to show, which are the headings too; empty for those of the first row. A
-    name without any value is omitted. indent: before each line.
+    rows: values by the name of their column. names: of the columns to show; empty for those of the
+    first row. A column without any value is omitted. indent: text before each line.
     """
     table = [dict(row) for row in rows]
     names = names or (table[0] if table else ())
@@ -56,15 +57,16 @@ def table_lines(
         if any(value is not None for value in values):
             spec = _spec([abs(value) for value in values if isinstance(value, float)])
             cells = [name, *(_cell(value, spec) for value in values)]
-            sign = "<" if any(isinstance(value, str) for value in values) else ">"
-            columns.append([f"{cell:{sign}{max(map(len, cells))}}" for cell in cells])
+            alignment = "<" if any(isinstance(value, str) for value in values) else ">"
+            columns.append([f"{cell:{alignment}{max(map(len, cells))}}" for cell in cells])
     return [indent + "  ".join(line).rstrip() for line in zip(*columns, strict=True)]
 
 
 def _spec(sizes: list[float]) -> str:
-    """Return the format of a column's numbers: equal decimals, by the largest finite one.
+    """Return the format of a column's numbers, such as ".2f"; sizes: their absolute values.
 
-    Three significant digits each instead where the smallest would lose all but one of its own.
+    All numbers have equal decimals, which follow from the largest finite one. If the smallest would
+    keep only one digit, each number has three significant digits instead.
     """
     finite = [size for size in sizes if 0.0 < size < math.inf]
     if not finite:
@@ -74,13 +76,17 @@ def _spec(sizes: list[float]) -> str:
 
 
 def _cell(value: Any, spec: str) -> str:
+    """Return a value as the text of a table's cell; spec: format of floats."""
     if isinstance(value, float):
         return f"{value:{spec}}"
     return "-" if value is None else str(value)
 
 
 def printable(text: str) -> str:
-    """Return a text with "?" for control codes of the terminal, which anybody may have written."""
+    """Return a text with "?" for control codes, which could change what a terminal shows.
+
+    A file name or a file of another person may contain them.
+    """
     return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 
 
@@ -109,7 +115,7 @@ def is_terminal() -> bool:
 def unattended() -> Iterator[None]:
     """Let a command that runs for weeks survive a closed terminal, in a `with` block.
 
-    The command and the processes that it starts ignore SIGHUP. SIGTERM ends it like Ctrl-C.
+    The command and the processes that it starts ignore SIGHUP. SIGTERM ends them like Ctrl-C.
     """
     wanted: dict[signal.Signals, Any] = {signal.SIGTERM: signal.default_int_handler}
     if hasattr(signal, "SIGHUP"):  # not on Windows
@@ -127,18 +133,22 @@ def awake() -> Iterator[None]:
     """Keep the computer awake in a `with` block; print a note if that is not possible."""
     from fieldlum.devices.awake import kept_awake
 
-    with kept_awake() as what:
-        if not what:
+    with kept_awake() as locks:
+        if not locks:
             say("note: cannot keep the computer awake: run fieldlum doctor for the reason")
         yield
 
 
 def _progress_lines(label: str) -> Progress:
-    """Return a progress function for a pipe or a log: a line after 2 s, then one per minute."""
+    """Return a function that prints progress in a pipe or a log.
+
+    It prints a line on stderr after 2 s, then one per minute; label: at the start of each line.
+    """
     started, due_s = time.monotonic(), FIRST_LINE_S
     before = -1.0
     repeats = False  # work of several parts, such as a model after another, whose count is unknown
-    first: tuple[int, float] | None = None  # finished first, and when: the start-up is not repeated
+    # number of steps finished first, and when [s]: the start-up before them is not repeated
+    first: tuple[int, float] | None = None
 
     def show(finished: int, total: int, text: str) -> None:
         """Print a line when it is due, with the remaining time unless work began again."""
@@ -161,9 +171,10 @@ def _progress_lines(label: str) -> Progress:
 
 @contextmanager
 def progress(label: str) -> Iterator[Progress]:
-    """Show the progress of work in the block: a bar with the remaining time on a terminal.
+    """Show the progress of work in a `with` block: a bar with the remaining time on a terminal.
 
-    Elsewhere a line after 2 s and then one per minute on stderr. Yield the function that shows it.
+    In a pipe or a log, print a line after 2 s and then one per minute on stderr. Yield the function
+    that shows the progress. label: name of the work.
     """
     if not is_terminal():
         lines = _progress_lines(label)
@@ -183,6 +194,7 @@ def progress(label: str) -> Iterator[Progress]:
         task = bar.add_task(label, total=None, text="")
 
         def show(finished: int, total: int, text: str) -> None:
+            """Move the bar; a total of 0 is unknown."""
             bar.update(task, completed=finished, total=total or None, text=printable(text))
 
         with shown_by(show):

@@ -55,12 +55,12 @@ def command(
     from fieldlum.room.fit.apply_scene import apply_scene
 
     folder = out or (pairs if pairs.is_dir() else pairs.parent) / "models" / model
-    used: Any  # "absolute", "gain" or "none", as the captures allow
+    mode: Any  # "absolute", "gain" or "none", as the captures allow
     with progress("reading pictures"):
         data = with_sky_view(load_pairs(pairs, site), sky_view)
-        data, used = apply_scene(data, pairs, scene, patch)
+        data, mode = apply_scene(data, pairs, scene, patch)
     with progress("training"):
-        answer = run(data, model, budget_min=budget, patch=used, seed=seed, out=folder, force=force)
+        answer = run(data, model, budget_min=budget, patch=mode, seed=seed, out=folder, force=force)
     print_answer(as_json, answer, _lines(answer))
     for note in () if as_json else answer["notes"]:
         say(note)
@@ -70,7 +70,7 @@ def command(
 
 
 def _lines(answer: TrainAnswer) -> list[str]:
-    """Return the scores on which the choice is based."""
+    """Return the lines that the terminal shows: scores of the models, and the choice."""
     lines = [
         *table_lines(answer["models"], _COLUMNS),
         "judged: over judged hours, without the 5 % with the largest errors",

@@ -11,6 +11,7 @@ from fieldlum.cli.terminal import notes, say, table_lines, tell
 
 
 def _region(text: str) -> Any:
+    """Return the region that a text of --region describes."""
     from fieldlum.report.view import parse_region
 
     return parse_region(text)

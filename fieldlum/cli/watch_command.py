@@ -63,6 +63,7 @@ def command(
 
 
 def _show_lan(address: str) -> None:
+    """Print a caution about --lan, and the page's address as a QR code for a phone."""
     from fieldlum.web.server import qr_lines
 
     terminal.say("note: --lan is plain HTTP without encryption: use it in a network that you trust")

@@ -18,9 +18,13 @@ from fieldlum.year.predict import Annual, newest_annual, read_pictures
 
 
 def _model_of(session: Session, annual: Annual | None) -> Path | None:
-    """Return the model that predicted the year, else the newest model; None without one."""
-    used = annual.summary.inputs["model"] if annual else ""
-    return min(session.trained_models(), key=lambda folder: folder.name != used, default=None)
+    """Return the folder of the model that predicted the year, else of the newest model.
+
+    The result is None if no model is trained.
+    """
+    name = annual.summary.inputs["model"] if annual else ""
+    # the newest model is the first; the minimum is the first one with the name, or else the newest
+    return min(session.trained_models(), key=lambda folder: folder.name != name, default=None)
 
 
 def _page(session: Session, year: Annual | None) -> str:
@@ -49,7 +53,10 @@ def _page(session: Session, year: Annual | None) -> str:
 def _facts(
     site: Site, model: Path | None, year: Annual | None, pairs: PairsFile
 ) -> list[tuple[str, str]]:
-    """Return the names and texts of the facts below the answer; model: its folder."""
+    """Return the facts below the page's answer, as pairs of a name and a text.
+
+    model: folder of the model, None without one; year: the predicted year, None without one.
+    """
     facts = {"place": f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"}
     facts["captures used"] = f"{len(pairs.usable)}"
     if model is not None:

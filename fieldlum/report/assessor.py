@@ -1,7 +1,7 @@
-"""Write the page for an assessor: what EN 17037, BREEAM, LEED and WELL ask, and what was found.
+"""Write the page for an assessor: what EN 17037, BREEAM, LEED and WELL ask, and the results.
 
-It certifies nothing: an interval that spans a limit is "cannot tell". Names of its columns follow
-honeybee (GA) and ClimateStudio (sDG). requirements.toml has its texts.
+The page certifies nothing: a result whose interval spans a limit is "cannot tell". Names of columns
+follow honeybee (GA) and ClimateStudio (sDG). The texts are in requirements.toml.
 """
 
 import tomllib
@@ -29,7 +29,11 @@ _ITEMS = ("item", "value")
 
 
 def _requirements(annual: Annual, zone: str, texts: Sequence[Mapping[str, str]]) -> Table:
-    """Return what `texts` ask next to what was found; zone: of local standard time."""
+    """Return the table of requirements next to the results of the year.
+
+    zone: IANA name, for local standard time; texts: for each requirement its name, what it asks,
+    and forms of the result (with the names in braces that are filled here) and of what is missing.
+    """
     directions = annual.summary.protection
     decided = [row for row in directions if row.certain]
     classes = ", ".join(f"{direction_name(row.azimuth_deg)} {class_name(row)}" for row in decided)
@@ -38,7 +42,7 @@ def _requirements(annual: Annual, zone: str, texts: Sequence[Mapping[str, str]])
     yes, unknown = answers.count("yes"), answers.count("cannot tell")
     sdg = f"{yes} of {len(answers)} directions are disturbed, {unknown} cannot be decided"
     limit, ends = dict(CLASSES)["minimum"], [(row.low, row.high) for row in directions]
-    low, high = np.array(ends, float).reshape(-1, 2).T  # NaN where unknown
+    low, high = np.array(ends, float).reshape(-1, 2).T  # of the DGP in 5 %; NaN where unknown
     met, exceeded = int((high <= limit).sum()), int((low > limit).sum())
     leed = (
         f"{met} of {len(directions)} directions exceed it in at most 5 % of the hours, "
@@ -46,29 +50,32 @@ def _requirements(annual: Annual, zone: str, texts: Sequence[Mapping[str, str]])
     )
     edi = well = "cannot tell: no melanopic colour was measured"
     if sections.has_melanopic(annual):
-        pairs = zip(sections.melanopic_shares(annual, zone), annual.judged, strict=True)
-        judged = (shares for shares, is_judged in pairs if is_judged)
-        of_hours, of_days = max(judged, key=lambda shares: shares[0].value)
+        shares = zip(sections.melanopic_shares(annual, zone), annual.judged, strict=True)
+        judged = (of_direction for of_direction, is_judged in shares if is_judged)
+        of_hours, of_days = max(judged, key=lambda of_direction: of_direction[0].value)
         edi = f"best direction: {of_hours.text()} of the hours"
         limits = zip(WELL_EDI_LX, of_days, strict=True)
         days = (f"{limit:.0f} lx on {share.text()} of the days" for limit, share in limits)
         well = f"best direction: {', '.join(days)}"
-    words = {"found": found, "leed": leed, "sdg": sdg, "edi": edi, "well": well}
+    results = {"found": found, "leed": leed, "sdg": sdg, "edi": edi, "well": well}
     keys = ("requirement", "asks", "found", "missing")
-    rows = [[row[key].format(**words, hours=len(annual)) for key in keys] for row in texts]
+    rows = [[row[key].format(**results, hours=len(annual)) for key in keys] for row in texts]
     head = ("requirement", "what it asks", "what was found", "what is missing")
     return Table(head, rows, words=True)
 
 
 def _reported(device: DeviceTable) -> str:
-    """Return model and serial number as the device reported them."""
+    """Return model and serial number as the device reported them, "" if it reported none."""
     return " ".join(str(device[key]) for key in ("model", "serial") if device.get(key))
 
 
 def _instruments(session: Session, setup: SiteFile) -> Table:
-    """Return the instruments with their calibrations, as far as they are stated."""
-    meter, devices = setup.pyranometer, session.table().get("devices", {})
-    of_meter = _reported(devices.get("pyranometer", {}))
+    """Return the table of camera and pyranometer with their calibrations, as far as stated.
+
+    A camera profile that cannot be read is named in the table.
+    """
+    pyranometer, devices = setup.pyranometer, session.table().get("devices", {})
+    serial = _reported(devices.get("pyranometer", {}))
     try:
         path = profiles.find_camera_profile(setup.camera.profile)
         profile = profiles.load_camera_profile(path)
@@ -87,7 +94,7 @@ def _instruments(session: Session, setup: SiteFile) -> Table:
         rows = {"camera": f"cannot tell: {error}"}
     rows |= {
         "camera, as it reported itself": _reported(devices.get("camera", {})) or "not recorded",
-        "pyranometer": f"{meter.kind} {meter.profile} {of_meter}".strip() or "not stated",
+        "pyranometer": f"{pyranometer.kind} {pyranometer.profile} {serial}".strip() or "not stated",
         "pyranometer, calibration": "state the date of its certificate here: ________",
         "camera's place": f"{setup.camera.height_m:g} m above the floor",
     }
@@ -95,10 +102,10 @@ def _instruments(session: Session, setup: SiteFile) -> Table:
 
 
 def assessor_page(session: Session, annual: Annual | None, model: Path | None) -> str:
-    """Return the page as HTML.
+    """Return the page for an assessor as HTML.
 
-    annual : the predicted year; raises NotEnoughDataError without. model : its folder, of which the
-    page shows the scores; None if it is missing.
+    annual: the predicted year; model: folder of the model, whose scores are shown, None if it is
+    missing. Raises NotEnoughDataError if there is no predicted year.
     """
     if annual is None:
         raise NotEnoughDataError(f"{session.root}: no predicted year; run fieldlum predict first")

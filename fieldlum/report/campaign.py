@@ -21,7 +21,7 @@ from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile
 from fieldlum.year.predict import best_and_worst, newest_annual
 
-_GLARE_DGP = "0.40"  # disturbing, EN 17037
+_GLARE_DGP = "0.40"  # key of `hours_over`: disturbing glare by EN 17037
 
 
 # Keys of earlier versions, whose campaigns also ran the stages; they are read and not used.
@@ -30,6 +30,8 @@ _EARLIER = {"site", "set", "model", "seed", "budget_min", "weather", "views", "s
 
 @dataclass(frozen=True, slots=True)
 class _Room:
+    """One table [[room]] of a CAMPAIGN.toml; session: folder."""
+
     session: str
 
 
@@ -43,7 +45,10 @@ class _Tables:
 
 
 class CampaignFile(NamedTuple):
-    """The content of a CAMPAIGN.toml: its name, and the folders of its sessions."""
+    """The content of a CAMPAIGN.toml: its name, and the folders of its sessions.
+
+    path: of the file; the folders are relative to its folder.
+    """
 
     path: Path
     name: str
@@ -51,16 +56,16 @@ class CampaignFile(NamedTuple):
 
 
 def read_campaign(path: Path) -> CampaignFile:
-    """Read a CAMPAIGN.toml; without the key `name` the file's name is used.
+    """Read a CAMPAIGN.toml; a campaign without the key `name` has the name of the file.
 
     Raises InputError for a missing file or one that is no TOML, for unknown keys or values of a
     wrong type, without a room, for a room without a session, and for a session named twice.
     """
     tables = build(_Tables, read_toml(path), str(path))
     sessions: list[str] = []
-    for number, stated in enumerate(tables.room, start=1):
-        own = {k: v for k, v in stated.items() if k not in _EARLIER}
-        sessions.append(build(_Room, own, f"{path} [[room]] {number}").session)
+    for number, table in enumerate(tables.room, start=1):
+        used = {key: value for key, value in table.items() if key not in _EARLIER}
+        sessions.append(build(_Room, used, f"{path} [[room]] {number}").session)
     twice = next((name for name in sessions if sessions.count(name) > 1), "")
     if twice or not sessions:
         found = f"session {twice} occurs twice" if twice else "no [[room]]"
@@ -77,7 +82,8 @@ def read_campaign(path: Path) -> CampaignFile:
 class RoomOverview:
     """What the page shows about one room.
 
-    broken: why the room could not be read, "" if it could. captured, planned: numbers of slots.
+    session: folder. broken: why the room could not be read, "" if it could. captured, planned:
+    numbers of slots.
     to_do: slots that can still be captured. usable: rows of pairs.csv that training uses. failed:
     slots missed, aborted or rejected by `pair`. worst, best: directions with the highest and lowest
     DGP in 5 % of the hours of the newest predicted year, as the room's own report names them.
@@ -96,7 +102,10 @@ class RoomOverview:
 
 
 def overview_of(folder: Path, name: str) -> RoomOverview:
-    """Read the session `name` in a folder; after any error, `broken` states what is wrong."""
+    """Return the overview of one room; after any error, its field `broken` states the reason.
+
+    folder: of CAMPAIGN.toml; name: of the session's folder in it.
+    """
     from fieldlum.session.slot_states import slots_ahead
     from fieldlum.session.stage_status import stage_status
 
@@ -140,10 +149,10 @@ def write_overview(campaign: CampaignFile, out: Path) -> tuple[Path, list[RoomOv
 def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
     """Return the overview of the rooms as HTML; name: of the campaign."""
     broken = [room for room in rooms if room.broken]
-    judged = [room.worst for room in rooms if room.worst is not None]
-    bad = sum(worst.glare_class == "none" for worst in judged)
-    answer = f"Rooms with a view direction without protection from glare: {bad} of {len(judged)}."
-    facts = [("rooms", f"{len(rooms)}"), ("predicted years", f"{len(judged)}")]
+    worst = [room.worst for room in rooms if room.worst is not None]
+    bad = sum(direction.glare_class == "none" for direction in worst)
+    answer = f"Rooms with a view direction without protection from glare: {bad} of {len(worst)}."
+    facts = [("rooms", f"{len(rooms)}"), ("predicted years", f"{len(worst)}")]
     failed = f"{counted(sum(room.failed for room in rooms), 'slot')} failed"
     why = f"{failed}; {counted(len(broken), 'session')} could not be read."
     skipped = [f"{room.session} was skipped. {room.broken}" for room in broken]
@@ -152,7 +161,7 @@ def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
 
 def _table(rooms: Sequence[RoomOverview]) -> Section:
     """Return the section with a row for each room: captures, worst and best direction."""
-    body = []
+    rows = []
     for room in sorted(rooms, key=lambda r: -((r.worst and r.worst.dgp_exceeded) or -1.0)):
         worst, best, glare = room.worst, room.best, ("–",) * 6
         if worst is not None and best is not None:
@@ -160,7 +169,7 @@ def _table(rooms: Sequence[RoomOverview]) -> Section:
             glare = (direction_name(worst.azimuth_deg), chip(worst), exceeded_text(worst), hours)
             glare = (*glare, direction_name(best.azimuth_deg), chip(best))
         counts = (f"{room.captured} of {room.planned}", f"{room.to_do}", f"{room.failed}")
-        body.append((room.session, *(("not read", "–", "–") if room.broken else counts), *glare))
+        rows.append((room.session, *(("not read", "–", "–") if room.broken else counts), *glare))
     text = (
         "The room with the most glare first. A class in grey is not certain yet: the captures do "
         "not decide it. Failed slots were missed, aborted, or rejected by fieldlum pair: fieldlum "
@@ -169,4 +178,4 @@ def _table(rooms: Sequence[RoomOverview]) -> Section:
     counts = ("room", "captured", "to do", "failed")
     glare = ("worst direction", "class", "DGP in 5 %", f"hours above {_GLARE_DGP}")
     head = (*counts, *glare, "best direction", "class")
-    return Section("rooms", "Rooms", text, tables=(Table(head, body),))
+    return Section("rooms", "Rooms", text, tables=(Table(head, rows),))

@@ -7,17 +7,16 @@ below the names of pictures. Pictures and evalglare's lines are compared with th
 same slots, hours with the session's predicted year, which should have the model's weather file.
 """
 
-from __future__ import annotations
-
 import calendar
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.ndimage import binary_dilation
 
 from fieldlum.core import strict_csv
@@ -26,14 +25,8 @@ from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.files import open_to_read, read_bytes
 from fieldlum.core.plot_style import new_figure, styled
 from fieldlum.core.progress import progress
-from fieldlum.core.records import JsonTable, Panorama, Room, parse_utc
-from fieldlum.optics.projection import (
-    altitude_azimuth_deg,
-    direction,
-    equirect_pixel,
-    equirect_rays,
-    signed_angle_deg,
-)
+from fieldlum.core.records import JsonTable, Room, parse_utc
+from fieldlum.optics import projection
 from fieldlum.report.page import comparison_png, png
 from fieldlum.room.scene.box_room import WALLS, wall_named
 from fieldlum.room.scene.view import traced_view
@@ -46,18 +39,16 @@ from fieldlum.year.glare.pictures import picture_directions, read_picture
 from fieldlum.year.glare.standards import DISTURBING_DGP
 from fieldlum.year.predict import Annual
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-PICTURES = (".hdr", ".exr", ".pic")
+PICTURE_SUFFIXES = (".hdr", ".exr", ".pic")
 SUN_UP_HOURS = "sun-up-hours.txt"  # honeybee-radiance
-# A camera is right to 5 %, a Radiance rendering of a known room to about 10 % (Mardaljevic 1995).
-_ALIKE_REL = 0.10
-# Surfaces that differ this many times are not materials but another view: a reflectance of 0.9 is
-# six times one of 0.15.
-_NO_MATERIAL = 6.0
+# Smaller relative differences are no errors of the model: a camera is right to 5 %, a Radiance
+# rendering of a known room to about 10 % (Mardaljevic 1995).
+_MODEL_ERROR_REL = 0.10
+# Surfaces that differ by a larger factor are not of other materials but in another view: a
+# reflectance of 0.9 is six times one of 0.15.
+_MAX_MATERIAL_FACTOR = 6.0
 _NOT_JUDGED = ("all", "window", "reveal", "frame")
-_DAYS = np.array([31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31])
+_DAYS_OF_MONTH = np.array([31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31])
 _HOUR_NAMES = ("ann_hour", "hoy", "hour of year", "hour_of_year")
 # Columns of other programs, in lower case, for the figures of hourly.csv; e_v is of evalglare -d,
 # ev_calc of evalglare -D.
@@ -70,19 +61,73 @@ _EVALGLARE = re.compile(
 
 
 class Comparison(NamedTuple):
-    """The result of `compare`: tables, and sentences that say where and when the model errs.
+    """The result of `compare`: tables, and sentences on where and when the model errs.
 
-    surfaces: name, mean luminances measured_cdm2 and model_cdm2, and the median ratio of model over
-    measured (of the median pixel) with its quartiles low and high, over a number of pictures.
-    directions: azimuth_deg (clockwise from true north), figure (of hourly.csv), number of shared
-    hours, means measured and model, mean_abs difference; over, model_over: hours of disturbing
-    glare (None for Ev).
+    surfaces: rows with name, mean luminances measured_cdm2 and model_cdm2, and the median ratio of
+    model over measured (of the median pixel) with its quartiles low and high, over a number of
+    pictures. directions: rows with azimuth_deg (clockwise from true north), figure (of hourly.csv),
+    number of shared hours, means measured and model, mean_abs difference; over, model_over: hours
+    of disturbing glare (None for Ev). text: the sentences. files: compare.csv and compare.png.
     """
 
     surfaces: list[JsonTable]
     directions: list[JsonTable]
     text: list[str]
     files: tuple[Path, Path]
+
+
+class SharedHours(NamedTuple):
+    """A figure of one view in the n hours that the measurement and the model share.
+
+    azimuth_deg: view direction, clockwise from true north; figure: dgp or ev_lx; hour_of_year [n]:
+    0 to 8759; measured, model [n]: values of the figure. The names are columns of compare.csv.
+    """
+
+    azimuth_deg: float
+    figure: str
+    hour_of_year: Array
+    measured: Floats
+    model: Floats
+
+    def direction(self) -> JsonTable:
+        """Return the row of `Comparison.directions`: means, and hours of disturbing glare."""
+        error, over = self.model - self.measured, [None, None]
+        if self.figure == "dgp":
+            over = [int((dgp > DISTURBING_DGP).sum()) for dgp in (self.measured, self.model)]
+        row: JsonTable = {"azimuth_deg": self.azimuth_deg, "figure": self.figure}
+        row |= {"hours": len(self.model), "measured": float(self.measured.mean())}
+        row |= {"model": float(self.model.mean()), "mean_abs": float(np.abs(error).mean())}
+        return row | dict(zip(("over", "model_over"), over, strict=True))
+
+    def rows(self) -> list[JsonTable]:
+        """Return the rows of compare.csv, one for each hour."""
+        view, hours = (self.azimuth_deg, self.figure), self.hour_of_year.tolist()
+        rows = zip(hours, self.measured.round(4), self.model.round(4), strict=True)
+        return [dict(zip(SharedHours._fields, (*view, *row), strict=True)) for row in rows]
+
+    def text(self) -> str:
+        """Return a sentence on the month and the hour of the day in which the model errs most."""
+        error = self.model - self.measured
+        number, unit = ("+.3f", "") if self.figure == "dgp" else ("+.0f", " lx")
+
+        def worst(group: Array) -> tuple[int, str]:
+            """Return the group with the largest mean absolute error, and the error as a text.
+
+            group: number of the group of each hour, [n].
+            """
+            errors = {k: float(np.abs(error[group == k]).mean()) for k in set(group.tolist())}
+            k = max(errors, key=errors.__getitem__)
+            return k, f"{errors[k]:{number[1:]}}{unit}"
+
+        month_ends = np.cumsum(_DAYS_OF_MONTH)
+        month, by_month = worst(np.searchsorted(month_ends, self.hour_of_year // 24, "right"))
+        hour, by_hour = worst(self.hour_of_year % 24)
+        return (
+            f"{self.figure} facing {self.azimuth_deg:g} deg: the model is {error.mean():{number}}"
+            f"{unit} in the mean; its mean absolute error is largest in "
+            f"{calendar.month_name[month + 1]} ({by_month}) and from {hour}:00 to {hour + 1}:00 "
+            f"({by_hour})."
+        )
 
 
 def compare(
@@ -94,15 +139,16 @@ def compare(
 ) -> Comparison:
     """Compare a model's result with a session, and write compare.csv and compare.png to `out`.
 
-    azimuths_deg: view directions of an hourly result that does not name them, in its order,
-    clockwise from true north. annual: the predicted year; None: without one. Raises InputError for
-    a result that cannot be read, or that shares no picture and no hour with the session,
-    NotEnoughDataError without a year for a table of hours.
+    model: a file or folder with the result, as the module describes. azimuths_deg: view directions
+    of an hourly result that does not name them, in its order, clockwise from true north. annual:
+    the session's predicted year; None: there is none. Raises InputError for a result that cannot be
+    read, or that shares no picture and no hour with the session, NotEnoughDataError without a year
+    for a table of hours.
     """
-    if model.is_dir() and _sun_up_hours(model) is None:
+    if model.is_dir() and _sun_up_hours_file(model) is None:
         return _compare_pictures(session, model, out)
-    if model.is_file() and (shared := _of_evalglare(session, model, azimuths_deg)):
-        return _of_hours(shared, [], out)
+    if model.is_file() and (shared := _hours_of_evalglare(session, model, azimuths_deg)):
+        return _comparison_of_hours(shared, [], out)
     hours = read_model_hours(model, azimuths_deg)
     if annual is None:
         remedy = "run fieldlum predict with the weather file of the model"
@@ -111,6 +157,7 @@ def compare(
 
 
 def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, Path]:
+    """Write compare.csv and compare.png to the folder `out`; return their paths."""
     files = (out / "compare.csv", out / "compare.png")
     write_csv(files[0], rows)
     write_file(files[1], picture)
@@ -122,35 +169,41 @@ def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, 
 
 
 def surface_names(room: Room, height: int, heading_deg: float) -> Array:
-    """Return what each pixel of a panorama mostly shows, [H, W]: "N wall", "floor", "window" ...
+    """Return what each pixel of a panorama mostly shows, [H, W]: "N wall", "floor" or "window".
 
-    height: rows H, W = 2H; heading_deg: azimuth of the centre column. The name is empty where
-    neither box nor opening is, and within two pixels of an opening.
+    room: a box room; height: rows H, W = 2H; heading_deg: azimuth of the centre column. The name is
+    empty where neither box nor opening is, and within two pixels of an opening.
     """
     view = traced_view(room, height, heading_deg)
     names = np.full(2 * height**2, "", dtype=object)
-    s, straight = view.samples, ~view.samples.mirrored
-    pixel, box, axis = s.pixel[straight], s.box[straight], s.axis[straight]
-    kinds = np.array([b.kind for b in view.scene.boxes], dtype=object)
+    samples, is_direct = view.samples, ~view.samples.mirrored
+    pixel, box, axis = samples.pixel[is_direct], samples.box[is_direct], samples.axis[is_direct]
+    kinds = np.array([element.kind for element in view.scene.boxes], dtype=object)
     names[pixel] = np.where(kinds[box] == "wall", "reveal", kinds[box])
-    for wall, (normal, side) in WALLS.items():
-        plane_m = (room.width_m, room.depth_m)[normal] * side
-        on = (kinds[box] == "wall") & (axis == normal)
-        on &= np.abs(s.position[straight][:, normal] - plane_m) < 0.02
-        names[pixel[on]] = wall_named(wall, room.wall_azimuth_deg)
-    named = names.reshape(height, 2 * height)
-    window = (view.sky > 0.05) | (view.plain > 0.05)
-    near: Mask = np.asarray(binary_dilation(window, iterations=2), bool)
-    named[near] = ""  # edges mix the window with what is next to it
-    named[window] = "window"
-    return named
+    for wall, (normal_axis, side) in WALLS.items():
+        plane_m = (room.width_m, room.depth_m)[normal_axis] * side
+        # a wall's box shows its inner face there, and elsewhere the reveal of an opening
+        is_face = (kinds[box] == "wall") & (axis == normal_axis)
+        is_face &= np.abs(samples.position[is_direct][:, normal_axis] - plane_m) < 0.02
+        names[pixel[is_face]] = wall_named(wall, room.wall_azimuth_deg)
+    names = names.reshape(height, 2 * height)
+    is_window = (view.sky > 0.05) | (view.plain > 0.05)
+    near: Mask = np.asarray(binary_dilation(is_window, iterations=2), bool)
+    names[near] = ""  # edges mix the window with what is next to it
+    names[is_window] = "window"
+    return names
 
 
 def _compare_pictures(session: Session, model: Path, out: Path) -> Comparison:
-    """Return ratios of a model's pictures to captures of the same slots; draw the three worst."""
-    measured = {path.stem: path for path in session.panorama_files()}
-    pictures = sorted(p for p in model.iterdir() if p.suffix.lower() in PICTURES)
-    shared = [path for path in pictures if path.stem in measured]
+    """Compare the pictures in a folder with the captures of the same slots.
+
+    model: the folder; out: where compare.csv and compare.png, with the three pictures that differ
+    most, are written. Raises InputError for a folder without a picture of a captured slot, and for
+    two pictures of one slot.
+    """
+    captures = {path.stem: path for path in session.panorama_files()}  # by slot
+    pictures = sorted(p for p in model.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
+    shared = [path for path in pictures if path.stem in captures]
     if not shared:
         found = f"pictures: {len(pictures)}, none named as a capture of {session.root}"
         expected = "pictures named by slots, such as 20270320T193000Z.hdr"
@@ -161,72 +214,80 @@ def _compare_pictures(session: Session, model: Path, out: Path) -> Comparison:
     room, rows, worst = session.site_file().room, [], []
     for number, path in enumerate(shared):
         progress(number, len(shared), "pictures")
-        capture = read_panorama_with_sun(measured[path.stem])
-        names, light, model_light, weight = _on_one_grid(capture, measured[path.stem], path, room)
-        own = _of_surfaces(path.stem, names, light, model_light, weight)
-        rows += own
-        ratio = own[0]["ratio"]
+        names, light, model_light, weight = _on_one_grid(captures[path.stem], path, room)
+        of_picture = surface_rows(path.stem, names, light, model_light, weight)
+        rows += of_picture
+        ratio = of_picture[0]["ratio"]  # of the complete picture
         shown = [np.where(weight > 0, part, np.nan) for part in (light, model_light)]
-        worst.append((abs(np.log(ratio)), f"{path.stem}, model {_off(ratio)}", *shown))
+        worst.append((abs(np.log(ratio)), f"{path.stem}, model {_error_text(ratio)}", *shown))
         worst = sorted(worst, key=lambda item: -item[0])[:3]
-    surfaces = _surfaces(rows)
+    surfaces = _over_all_pictures(rows)
     _, titles, light, model_light = zip(*worst, strict=True)
-    text = [*_where(surfaces), f"Largest differences: {'; '.join(titles)}."]
+    text = [*surface_sentences(surfaces), f"Largest differences: {'; '.join(titles)}."]
     picture = comparison_png(light, model_light, titles, "model")
     return Comparison(surfaces, [], text, _write(out, rows, picture))
 
 
-def _labels(room: Room | None, height: int, heading_deg: float) -> Array:
-    """Return the names of surfaces; without a room, of eight sectors, "above" and "below"."""
-    if room is not None and room.kind == "box":
-        return surface_names(room, height, heading_deg)
-    altitude, azimuth = altitude_azimuth_deg(equirect_rays(height, 2 * height, heading_deg))
+def _sector_names(height: int, heading_deg: float) -> Array:
+    """Return the sector of each pixel of a panorama [H, 2H]: "N", "NE" ..., "above" or "below".
+
+    The names replace those of surfaces if no box room is known. Above and below begin at an
+    altitude of 45 degrees.
+    """
+    rays = projection.equirect_rays(height, 2 * height, heading_deg)
+    altitude_deg, azimuth_deg = projection.altitude_azimuth_deg(rays)
     sectors = np.array(["N", "NE", "E", "SE", "S", "SW", "W", "NW"], object)
-    named = sectors[np.round(azimuth / 45.0).astype(int) % 8]
-    return np.where(altitude > 45.0, "above", np.where(altitude < -45.0, "below", named))
+    around = sectors[np.round(azimuth_deg / 45.0).astype(int) % 8]
+    return np.where(altitude_deg > 45.0, "above", np.where(altitude_deg < -45.0, "below", around))
 
 
 def _on_one_grid(
-    capture: Panorama, path: Path, model: Path, room: Room | None
+    capture_file: Path, model_file: Path, room: Room | None
 ) -> tuple[Array, Floats, Floats, Floats]:
-    """Return, for each pixel of the model's picture [H, W]: surface, luminances, solid angle.
+    """Return four values of each pixel of a model's picture, [H, W] each.
 
-    path, model: of the capture and of the model's picture; room: for the names of surfaces, None
-    for no names. The luminances are those of the capture and of the model. The solid angle is 0
-    where one of the pictures has no value, and around the sun.
+    They are the name of its surface, the luminance in the capture and in the model [cd/m2], and its
+    solid angle [sr], which is 0 where one of the pictures has no value, and around the sun.
+    capture_file: panorama of the same slot; room: for the names of surfaces, None if it is unknown.
+    Raises InputError for pictures that cannot be read or that share no direction with light.
     """
-    picture = read_picture(model)
-    model_light, _ = valid_pixels(picture.panorama, model)
+    capture, picture = read_panorama_with_sun(capture_file), read_picture(model_file)
+    model_light, _ = valid_pixels(picture.panorama, model_file)
     rays, weight = picture_directions(picture)
-    light, _ = valid_pixels(capture, path)
-    height, width = light.shape
-    place = equirect_pixel(*altitude_azimuth_deg(rays), height, width, capture.heading_deg)
-    row, column = (np.floor(part).astype(int) for part in place)
-    at = (np.minimum(row, height - 1), column % width)
+    light, _ = valid_pixels(capture, capture_file)
+    (height, width), heading_deg = light.shape, capture.heading_deg
+    angles_deg = projection.altitude_azimuth_deg(rays)
+    row, column = projection.equirect_pixel(*angles_deg, height, width, heading_deg)
+    row, column = np.floor(row).astype(int), np.floor(column).astype(int)
+    at = (np.minimum(row, height - 1), column % width)  # the capture's pixel in each direction
     weight = np.where(capture.seen[at], weight, 0.0)
     if picture.view is not None and picture.view.kind != "v":
         # beyond its angle a fisheye's square has no picture
-        ahead = rays @ picture.view.forward
-        weight = np.where(ahead > np.cos(np.radians(picture.view.horizontal_deg) / 2), weight, 0.0)
+        edge_cosine = np.cos(np.radians(picture.view.horizontal_deg) / 2)
+        weight = np.where(rays @ picture.view.forward > edge_cosine, weight, 0.0)
     if capture.sun is not None:
-        sun = direction(capture.sun.altitude_deg, capture.sun.azimuth_deg)
+        sun = projection.direction(capture.sun.altitude_deg, capture.sun.azimuth_deg)
         # within 2 degrees of the sun, one of the pictures may have the disc
         weight = np.where(rays @ sun > np.cos(np.radians(2.0)), 0.0, weight)
     if not (weight * light[at]).sum() > 0.0 or not (weight * model_light).sum() > 0.0:
         found, expected = "no light in the capture's directions", "the same directions in cd/m2"
-        raise InputError(model, found, expected, "check VIEW, north (y axis) and unit")
-    names = _labels(room, height, capture.heading_deg)
+        raise InputError(model_file, found, expected, "check VIEW, north (y axis) and unit")
+    names = _sector_names(height, heading_deg)
+    if room is not None and room.kind == "box":
+        names = surface_names(room, height, heading_deg)
     return names[at], light[at], model_light, weight
 
 
-def _of_surfaces(
+def surface_rows(
     slot: str, names: Array, light: Floats, model_light: Floats, weight: Floats
 ) -> list[JsonTable]:
-    """Return a row of compare.csv for "all", and for each surface that both pictures show.
+    """Return the rows of compare.csv for one slot: "all", then each surface that is shown.
 
-    names, light, model_light, weight: of each pixel [H, W], the result of `_on_one_grid`. The ratio
-    of a surface is that of its median pixel: a material changes it, light that leaks through a
-    coarse ambient cache near a window does not.
+    names, light, model_light, weight: surface, luminance in the capture and in the model [cd/m2],
+    and solid angle [sr] of each pixel, [H, W]. A row has the mean luminances, and the ratio of
+    model over measured: for "all" that of the means, for a surface that of its median pixel. A
+    material changes the median, light that leaks through a coarse ambient cache near a window does
+    not.
     """
     rows, ratios = [], model_light / np.maximum(light, 0.01)
     for name in ("all", *sorted(set(names.ravel()) - {""})):
@@ -242,55 +303,62 @@ def _of_surfaces(
     return rows
 
 
-def _surfaces(rows: Sequence[JsonTable]) -> list[JsonTable]:
-    """Return each surface over all pictures, "all" first."""
+def _over_all_pictures(rows: Sequence[JsonTable]) -> list[JsonTable]:
+    """Return a row of `Comparison.surfaces` for each surface, "all" first.
+
+    rows: of compare.csv, for each picture and surface.
+    """
     surfaces = []
     for name in dict.fromkeys(row["surface"] for row in rows):
         keys = ("measured_cdm2", "model_cdm2", "ratio")
-        own = np.array([[row[key] for key in keys] for row in rows if row["surface"] == name])
-        ratio, low, high = np.percentile(own[:, 2], (50, 25, 75)).tolist()
-        means = dict(zip(keys, own.mean(axis=0).tolist(), strict=True))
-        spread = {"ratio": ratio, "low": low, "high": high, "pictures": len(own)}
+        values = np.array([[row[key] for key in keys] for row in rows if row["surface"] == name])
+        ratio, low, high = np.percentile(values[:, 2], (50, 25, 75)).tolist()
+        means = dict(zip(keys, values.mean(axis=0).tolist(), strict=True))
+        spread = {"ratio": ratio, "low": low, "high": high, "pictures": len(values)}
         surfaces.append({"name": name, **means, **spread})
     return surfaces
 
 
-def _where(surfaces: Sequence[JsonTable]) -> list[str]:
-    """Return sentences on the complete picture, and on the surface that differs most from it.
+def surface_sentences(surfaces: Sequence[JsonTable]) -> list[str]:
+    """Return sentences on the complete picture, and on the surface that differs most from others.
 
-    A surface is named if it differs from the others by over 10 %, and three times as much as they
-    do from each other. Pixels of reveals and frames mix light and dark: they are not named.
+    surfaces: rows of `Comparison.surfaces`. A surface is named if it differs from the others by
+    over 10 %, and three times as much as they do from each other. Pixels of reveals and frames mix
+    light and dark: they are not named.
     """
     total = surfaces[0]
-    text = [f"The model is {_off(total['ratio'])} in the median of {total['pictures']} pictures."]
-    parts = [s for s in surfaces if s["name"] not in _NOT_JUDGED]
+    median = f"in the median of {total['pictures']} pictures"
+    text = [f"The model is {_error_text(total['ratio'])} {median}."]
+    parts = [surface for surface in surfaces if surface["name"] not in _NOT_JUDGED]
     if len(parts) < 3:
         return text
-    ratios = np.array([s["ratio"] for s in parts])
+    ratios = np.array([surface["ratio"] for surface in parts])
     usual = float(np.median(ratios))
-    off = np.abs(np.log(ratios / usual))
-    k = int(off.argmax())
-    others, name, ratio = float(np.median(np.delete(off, k))), parts[k]["name"], ratios[k]
-    if others > np.log(_NO_MATERIAL) / 4 or off[k] > np.log(_NO_MATERIAL):
+    ln_off = np.abs(np.log(ratios / usual))  # difference of each surface from the median one
+    k = int(ln_off.argmax())
+    largest, ln_others = ln_off[k], float(np.median(np.delete(ln_off, k)))
+    name, ratio, ln_material = parts[k]["name"], ratios[k], np.log(_MAX_MATERIAL_FACTOR)
+    if ln_others > ln_material / 4 or largest > ln_material:
         text.append(
-            f"Surfaces differ from each other by up to {np.exp(off[k]):.1f} times, more than "
+            f"Surfaces differ from each other by up to {np.exp(largest):.1f} times, more than "
             "materials explain: check VIEW, north (y axis), viewpoint and sun of the pictures."
         )
-    elif off[k] > np.log1p(_ALIKE_REL) and off[k] > 3.0 * others:
+    elif largest > np.log1p(_MODEL_ERROR_REL) and largest > 3.0 * ln_others:
+        errors = f"the model is {_error_text(ratio)}, other surfaces {_error_text(usual)}"
         text.append(
-            f"{name}: the model is {_off(ratio)}, other surfaces {_off(usual)}: its reflectance in "
-            f"the model is probably too {'high' if ratio > usual else 'low'} (about "
-            f"{ratio / usual:.2f} times the true one), or it is another material there; or, of a "
-            "wall with the window, too few bounces (-ab)."
+            f"{name}: {errors}: its reflectance in the model is probably too "
+            f"{'high' if ratio > usual else 'low'} (about {ratio / usual:.2f} times the true one), "
+            "or it is another material there; or, of a wall with the window, too few bounces (-ab)."
         )
-    elif abs(np.log(usual)) > np.log1p(_ALIKE_REL):
+    elif abs(np.log(usual)) > np.log1p(_MODEL_ERROR_REL):
         text.append("All surfaces differ alike: check the glazing's transmittance, sky and unit.")
     else:
-        text.append(f"No surface differs from the others by over {100 * _ALIKE_REL:.0f} %.")
+        text.append(f"No surface differs from the others by over {100 * _MODEL_ERROR_REL:.0f} %.")
     return text
 
 
-def _off(ratio: float) -> str:
+def _error_text(ratio: float) -> str:
+    """Return how far the model is from right, in percent; ratio: of model over measured."""
     percent = 100 * (ratio - 1)
     if abs(percent) < 1:
         return "right within 1 %"
@@ -302,14 +370,13 @@ def _off(ratio: float) -> str:
 
 
 def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
-    """Return figures of a model: a row for each time, columns (figure, azimuth in degrees).
+    """Read a year of DGP or Ev that another program computed.
 
-    The index is the stated hour of the year, a fraction within the hour or one of its ends.
+    Return a row for each time, with columns (figure, azimuth_deg); figure is dgp or ev_lx. The
+    index is the stated hour of the year: a fraction within the hour, or one of its ends.
     azimuths_deg: of the views, in the order of the file's columns or rows, where it does not name
     them as ``dgp@180``. Raises InputError for other content.
     """
-    import pandas as pd
-
     if path.is_dir() or path.suffix.lower() in (".dgp", ".ill"):
         return _read_matrix(path, azimuths_deg)
     expected, remedy = "an hourly table", "export one row an hour"
@@ -318,37 +385,45 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
     strict_csv.check_names(path, names)
     columns = {name: k for k, name in enumerate(names)}
     figures: dict[tuple[str, float], Floats] = {}
-    for name, k in columns.items():
-        word, _, place = name.partition("@")
+    for name, k in columns.items():  # such as "ev [lx]@180"
+        word, _, azimuth = name.partition("@")
         word, _, unit = word.replace("[", "(").partition("(")
         if (figure := _FIGURES.get(word.strip())) is None:
             continue
-        key = (figure, _azimuth(place, azimuths_deg, path))
+        key = (figure, _azimuth_of(azimuth, azimuths_deg, path))
         if unit.strip(" )]") not in ("", "lx", "lux", "-"):
             raise InputError(path, f"the column {name}", "Ev in lx, DGP 0 to 1", "convert it")
         if key in figures:
             found = f"two columns of {figure} facing {key[1]:g} deg"
             raise InputError(path, found, "one", "remove one")
-        figures[key] = _values(path, figure, _numbers(table, k))
+        figures[key] = _valid_figures(path, figure, _numbers(table, k))
     if not figures:
         found, expected = f"columns {', '.join(table.names)[:80]}", "a column dgp or ev"
         raise InputError(path, found, expected, "rename it")
-    return pd.DataFrame(figures, _times_of(table, columns))
+    return pd.DataFrame(figures, _hours_of_rows(table, columns))
 
 
-def _azimuth(place: str, azimuths_deg: Sequence[float], path: Path) -> float:
-    """Return the direction of a column: that in its name, else the only one of `azimuths_deg`."""
-    if not place and len(azimuths_deg) != 1:
+def _azimuth_of(text: str, azimuths_deg: Sequence[float], path: Path) -> float:
+    """Return the view direction of a column or picture, in degrees, 0 to 360.
+
+    text: the direction in its name; if it is empty, the only one of `azimuths_deg` is returned.
+    path: for errors. Raises InputError if there is no direction, or several.
+    """
+    if not text and len(azimuths_deg) != 1:
         found, remedy = "figures of a view without its direction", "state --view-azimuth 180"
         raise InputError(path, found, "one --view-azimuth, clockwise from true north", remedy)
     with input_errors(path, "a view such as dgp@180", "correct that name", ValueError):
-        if not np.isfinite(azimuth := float(place or azimuths_deg[0])):
-            raise ValueError(f"a view to {place} deg")
-        return azimuth % 360.0
+        if not np.isfinite(azimuth_deg := float(text or azimuths_deg[0])):
+            raise ValueError(f"a view to {text} deg")
+        return azimuth_deg % 360.0
 
 
-def _values(path: Path, figure: str, values: Floats) -> Floats:
-    """Return a model's figures; DGP above 1 counts as 1, as in the predicted year."""
+def _valid_figures(path: Path, figure: str, values: Floats) -> Floats:
+    """Return DGP or Ev [lx] of a model; DGP above 1 counts as 1, as in the predicted year.
+
+    figure: dgp or ev_lx; path: for errors. Raises InputError for negative values, and for DGP in
+    percent.
+    """
     finite = values[np.isfinite(values)]
     if (finite < 0).any():
         found = f"{'DGP' if figure == 'dgp' else 'Ev'} of {finite.min():g}"
@@ -361,7 +436,10 @@ def _values(path: Path, figure: str, values: Floats) -> Floats:
 
 
 def _numbers(table: strict_csv.CsvTable, column: int) -> Floats:
-    """Return a column as numbers [n], NaN where empty. Raises InputError for another text."""
+    """Return a column as numbers [n], NaN where a cell is empty.
+
+    column: its index. Raises InputError for a cell with another text.
+    """
     remedy = "write numbers, or nothing"
     numbers: list[float] = []
     for line, cells in table.rows:
@@ -371,20 +449,20 @@ def _numbers(table: strict_csv.CsvTable, column: int) -> Floats:
     return np.array(numbers)
 
 
-def _times_of(table: strict_csv.CsvTable, columns: dict[str, int]) -> Floats:
+def _hours_of_rows(table: strict_csv.CsvTable, columns: dict[str, int]) -> Floats:
     """Return the hour of the year that each row states, [n]: 0 to 8760, maybe with a fraction.
 
-    columns: the number of each column by its name in small letters. Without a column of times the
-    rows must be the 8760 hours of a year.
+    columns: index of each column by its name in lower case. Raises InputError for times that cannot
+    be read, and for a table without times whose rows are not the 8760 hours from 1 January.
     """
     if {"month", "day", "hour"} <= columns.keys():
         parts = np.stack([_numbers(table, columns[k]) for k in ("month", "day", "hour")])
         return _hours_of_dates(table.path, parts, [line for line, _ in table.rows])
     name = next((name for name in _HOUR_NAMES if name in columns), None)
     if name is not None:
-        return _centred(table.path, _numbers(table, columns[name]), 8760)
+        return _middles_of_hours(table.path, _numbers(table, columns[name]), 8760)
     found = f"{len(table.rows)} rows of columns {', '.join(table.names)[:80]}"
-    for cell in table.rows[0][1]:
+    for cell in table.rows[0][1]:  # of the first row
         with suppress(ValueError):
             if (t := strict_csv.read_time(cell)) and (t.month, t.day) != (1, 1):
                 found = f"rows from {cell}"
@@ -394,8 +472,13 @@ def _times_of(table: strict_csv.CsvTable, columns: dict[str, int]) -> Floats:
     return np.arange(8760) + 0.5
 
 
-def _centred(path: Path, hours: Floats, last: int) -> Floats:
-    """Return integer hours as their middles, if 0 or `last` states whether they begin or end."""
+def _middles_of_hours(path: Path, hours: Floats, last: int) -> Floats:
+    """Return the middles of hours that integers name, by their beginnings or by their ends.
+
+    hours: [n], from 0 to `last`. If 0 is among them they are beginnings, if `last` is they are
+    ends. Hours with fractions, and those that do not show which they are, do not change. path: for
+    errors. Raises InputError if both are among them.
+    """
     if (hours % 1).any() or not {0, last} & set(hours.tolist()):
         return hours
     if {0, last} <= set(hours.tolist()):
@@ -405,21 +488,30 @@ def _centred(path: Path, hours: Floats, last: int) -> Floats:
 
 
 def _hours_of_dates(path: Path, dates: Floats, lines: Sequence[int]) -> Floats:
-    """Return the hour of the year of months, days and hours [3, n]; lines: their numbers [n]."""
+    """Return the hour of the year [n] of dates; dates: months, days and hours [3, n].
+
+    path, lines: file and line numbers [n], for errors. Raises InputError for dates that no year of
+    365 days has.
+    """
     month, day, hour = dates
+    # index of the month, -1 for a number that is no month
     index = np.isin(month, range(1, 13)) * np.nan_to_num(month).astype(int) - 1
-    ok = (index >= 0) & (day >= 1) & (day <= _DAYS[index]) & (day % 1 == 0)
-    ok &= (hour >= 0) & (hour <= 24)
-    if not ok.all():
-        k = int(np.argmin(ok))
+    is_date = (index >= 0) & (day >= 1) & (day <= _DAYS_OF_MONTH[index]) & (day % 1 == 0)
+    is_date &= (hour >= 0) & (hour <= 24)
+    if not is_date.all():
+        k = int(np.argmin(is_date))
         found = f"line {lines[k]}: month {month[k]:g}, day {day[k]:g}, hour {hour[k]:g}"
         expected = "days of a year without 29 February, hours 0 to 24"
         raise InputError(path, found, expected, "leave out other days")
-    return ((np.cumsum(_DAYS) - _DAYS)[index] + day - 1) * 24 + _centred(path, hour, 24)
+    days_before = (np.cumsum(_DAYS_OF_MONTH) - _DAYS_OF_MONTH)[index] + day - 1
+    return days_before * 24 + _middles_of_hours(path, hour, 24)
 
 
-def _sun_up_hours(folder: Path) -> Path | None:
-    """Return honeybee's file of the hours of a results folder, in it or above it; None without."""
+def _sun_up_hours_file(folder: Path) -> Path | None:
+    """Return honeybee's file with the hours of a results folder; None if there is none.
+
+    The file is in the folder or in the one above it.
+    """
     files = (folder / SUN_UP_HOURS, folder.absolute().parent / SUN_UP_HOURS)
     return next((file for file in files if file.is_file()), None)
 
@@ -427,13 +519,12 @@ def _sun_up_hours(folder: Path) -> Path | None:
 def _read_matrix(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
     """Read DGP or Ev of views from a file of DAYSIM (DIVA), or a folder of honeybee-radiance.
 
-    azimuths_deg: of the views, in the file's order. DAYSIM's .dgp or .ill: lines of month, day,
-    hour, and a value for each view. Of honeybee: GRID.dgp, GRID.ill or GRID.npy, a row for each
-    sensor and a column for each sun-up hour.
+    Return a table as `read_model_hours` does. azimuths_deg: of the views, in the file's order.
+    DAYSIM's .dgp or .ill has lines of month, day, hour, and a value for each view. Honeybee's
+    GRID.dgp, GRID.ill or GRID.npy has a row for each sensor and a column for each sun-up hour.
+    Raises InputError for other content, and if the number of views differs.
     """
-    import pandas as pd
-
-    hours_file, files = _sun_up_hours(path) if path.is_dir() else None, [path]
+    hours_file, files = _sun_up_hours_file(path) if path.is_dir() else None, [path]
     if hours_file is not None:
         names = ("*.dgp", "*.ill", "*.npy", "dgp/*.dgp")
         files = sorted(file for name in names for file in path.glob(name))
@@ -446,8 +537,9 @@ def _read_matrix(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
         with open_to_read(file) as opened:
             values = np.load(opened) if file.suffix == ".npy" else np.loadtxt(opened, ndmin=2)
         if hours_file is None:
-            hours = _hours_of_dates(path, np.asarray(values.T[:3]), range(1, len(values) + 1))
-            values = values.T[3:]
+            values = values.T  # month, day, hour, and one row for each view, over the lines
+            hours = _hours_of_dates(path, values[:3], range(1, values.shape[1] + 1))
+            values = values[3:]
         else:
             hours = np.loadtxt(read_bytes(hours_file).decode().splitlines(), ndmin=1)
     if values.shape != (len(azimuths_deg), len(hours)):
@@ -456,197 +548,179 @@ def _read_matrix(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
         raise InputError(file, found, expected, "repeat --view-azimuth for each sensor")
     figure = "dgp" if file.suffix.lower() == ".dgp" else "ev_lx"
     columns = pd.MultiIndex.from_tuples([(figure, azimuth % 360.0) for azimuth in azimuths_deg])
-    return pd.DataFrame(_values(file, figure, values.T), hours, columns)
+    return pd.DataFrame(_valid_figures(file, figure, values.T), hours, columns)
 
 
 def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[str]]:
-    """Return the hour of the year, from 0, in which each stated time is, and notes on it.
+    """Return the hour of the year, 0 to 8759, in which each stated time is, [n], and notes on it.
 
-    path: the table, for errors; times [n]: hours since the year began, such as 9.5 or 10.
-    Integers name an hour by its beginning or its end. Both readings are compared with the hours of
-    `daylight` [8760] of the predicted year, on the days of the table. The better reading is used if
-    the other has three times as many wrong hours. Raises InputError otherwise, and for a repeated
-    hour.
+    path: the table, for errors; times [n]: hours since the year began, such as 9.5 or 10. daylight
+    [8760]: True for hours of the predicted year. An integer names an hour by its beginning or its
+    end. Both readings are compared with the daylight on the days of the table. The better reading
+    is used if the other has three times as many wrong hours. Raises InputError otherwise, and for a
+    repeated hour.
     """
     outside = ~((times >= 0) & (times < len(daylight)))
     if outside.any():
         found = f"hour of the year {times[outside][0]:g}"
         raise InputError(path, found, "0 to 8760, in a year of 365 days", "correct the hours")
-    hours, note = np.floor(times).astype(int), []
+    hours, notes = np.floor(times).astype(int), []
     if not (times % 1).any():
-        stated = np.zeros((2, len(daylight)), bool)
+        stated = np.zeros((2, len(daylight)), bool)  # as beginnings, as ends
         stated[0, hours] = stated[1, hours - 1] = True
         days = np.unique(hours // 24)
-        off_begin, off_end = (stated ^ daylight).reshape(2, -1, 24)[:, days].sum(axis=(1, 2))
-        if max(off_begin, off_end) < 3 * min(off_begin, off_end) + 1:
+        wrong = (stated ^ daylight).reshape(2, -1, 24)[:, days].sum(axis=(1, 2))
+        if wrong.max() < 3 * wrong.min() + 1:
             found = "integer hours that may be the beginning or the end of each hour"
             remedy = "add 0.5 to hours at which each begins, subtract 0.5 where it ends"
             raise InputError(path, found, "hours with a fraction, such as 9.5", remedy)
-        word = "begins" if off_begin < off_end else "ends"
-        hours = hours if off_begin < off_end else hours - 1
-        note = [f"Integer hours in the table: each {word} then, by the daylight of the year."]
+        is_end = int(wrong.argmin())
+        hours = hours - is_end
+        word = ("begins", "ends")[is_end]
+        notes = [f"Integer hours in the table: each {word} then, by the daylight of the year."]
     unique, count = np.unique(hours, return_counts=True)
     if (count > 1).any():
         found = f"{count.max()} values in hour {unique[count > 1][0]} of the year"
         raise InputError(path, found, "one row an hour", "export one view, hour by hour")
-    return hours, note
+    return hours, notes
 
 
 def _compare_hours(
     annual: Annual, model: pd.DataFrame, zone: str, path: Path, out: Path
 ) -> Comparison:
-    """Return the differences of a model's hourly figures and those of the predicted year.
+    """Compare a model's hourly figures with those of the predicted year.
 
-    model: a column for each (figure, azimuth [deg]), rows by hour of the year; zone: of the year's
+    model: a column for each (figure, azimuth_deg), rows by hour of the year; zone: of the year's
     standard time; path: the model's file, for errors; out: the folder of the answer. Raises
-    InputError without common hours, and for hours of another clock.
+    InputError without common hours, for hours of another clock, and for a view that the year does
+    not have.
     """
-    row_of = np.full(8760, -1)
-    row_of[[hour_of_year(t, zone) for t in annual.t_utc]] = np.arange(len(annual))
-    hours, note = hours_begun(path, model.index.to_numpy(float), row_of >= 0)
-    both = row_of[hours] >= 0
-    if not both.any():
+    row_of_hour = np.full(8760, -1)  # in the predicted year; -1: none
+    row_of_hour[[hour_of_year(t, zone) for t in annual.t_utc]] = np.arange(len(annual))
+    hours, notes = hours_begun(path, model.index.to_numpy(float), row_of_hour >= 0)
+    is_shared = row_of_hour[hours] >= 0
+    if not is_shared.any():
         raise InputError(path, "no hour of the predicted year", "daylight hours", "check hours")
-    # simplified DGP has 0.184 in the dark
-    lit = (model > model.min() + 0.005).any(axis=1).to_numpy()
-    in_year = np.isin(hours // 24, np.unique(np.flatnonzero(row_of >= 0) // 24))
-    at_night = lit & in_year & ~both
-    # hours of dawn and dusk are two of a day's twelve
-    if at_night.sum() > 0.25 * (lit & in_year).sum():
-        found = f"light at night in {at_night.sum()} of {(lit & in_year).sum()} hours"
-        remedy = "shift its hours if they are UTC, or predict the place of the model"
-        raise InputError(path, found, f"hours of standard time in {zone}", remedy)
-    shared, columns = [], model.loc[both]
-    for figure, azimuth in columns:
-        off_deg = np.abs(signed_angle_deg(annual.azimuths_deg - azimuth))
+    _check_night(path, model, hours, row_of_hour >= 0, zone)
+    shared, columns, hours = [], model.loc[is_shared], hours[is_shared]
+    for figure, azimuth_deg in columns:
+        off_deg = np.abs(projection.signed_angle_deg(annual.azimuths_deg - azimuth_deg))
         if off_deg.min() > 6.0:
             expected = f"one of the views {', '.join(f'{a:g}' for a in annual.azimuths_deg)}"
             remedy = "predict that view: fieldlum predict --views 36"
-            raise InputError(path, f"a view to {azimuth:.0f} deg", expected, remedy)
+            raise InputError(path, f"a view to {azimuth_deg:.0f} deg", expected, remedy)
         of_year = annual.views[figure][:, int(np.argmin(off_deg))]
-        measured = of_year[row_of[hours[both]]]
-        modelled = columns[figure, azimuth].to_numpy(float)
-        by_hour = np.where(row_of < 0, np.nan, of_year[row_of])
-        note += () if shared else _other_clock(by_hour, hours[both], modelled)
+        by_hour = np.where(row_of_hour < 0, np.nan, of_year[row_of_hour])  # [8760]
+        measured, modelled = by_hour[hours], columns[figure, azimuth_deg].to_numpy(float)
+        notes += () if shared else _other_clock(by_hour, hours, modelled)
         ok = np.isfinite(measured) & np.isfinite(modelled)
         if ok.any():
-            shared.append(_Shared(azimuth, figure, hours[both][ok], measured[ok], modelled[ok]))
+            both = (hours[ok], measured[ok], modelled[ok])
+            shared.append(SharedHours(azimuth_deg, figure, *both))
     if not shared:
         raise InputError(path, "no value in daylight hours", "numbers in dgp or ev", "export them")
     if weather := annual.summary.inputs.get("weather"):
-        note.append(f"The year has the weather of {weather}: the model needs the same.")
-    return _of_hours(shared, note, out)
+        notes.append(f"The year has the weather of {weather}: the model needs the same.")
+    return _comparison_of_hours(shared, notes, out)
+
+
+def _check_night(path: Path, model: pd.DataFrame, hours: Array, daylight: Mask, zone: str) -> None:
+    """Raise InputError if a model has light in many hours of the night, as with another clock.
+
+    model, hours: its figures, and the hour of the year of its rows [n]; daylight [8760]: True for
+    hours of the predicted year, in standard time of the zone.
+    """
+    # simplified DGP has 0.184 in the dark
+    is_lit = (model > model.min() + 0.005).any(axis=1).to_numpy()
+    is_lit = is_lit & np.isin(hours // 24, np.flatnonzero(daylight) // 24)
+    count, at_night = is_lit.sum(), (is_lit & ~daylight[hours]).sum()
+    # hours of dawn and dusk are two of a day's twelve
+    if at_night > 0.25 * count:
+        found = f"light at night in {at_night} of {count} hours"
+        remedy = "shift its hours if they are UTC, or predict the place of the model"
+        raise InputError(path, found, f"hours of standard time in {zone}", remedy)
 
 
 def _other_clock(measured: Floats, hours: Array, modelled: Floats) -> Iterator[str]:
     """Yield a note for each season in which a model agrees twice as well if moved by an hour.
 
-    measured [8760], NaN in the dark; modelled [n] at `hours` of the year [n].
+    measured [8760]: figures of the predicted year by hour, NaN in the dark; modelled [n]: those of
+    the model, at `hours` of the year [n].
     """
     is_summer = np.isin(hours // 24, range(90, 300))  # within summer time of Europe and America
     for season, rows in (("April to October", is_summer), ("November to March", ~is_summer)):
-        moved = np.array([0, -1, 1])
-        error = np.abs(measured[(hours[rows] + moved[:, None]) % 8760] - modelled[rows])
-        off = error[:, np.isfinite(error).all(axis=0)].sum(axis=1)
-        if off.min() < 0.5 * off[0]:
-            by = f"{moved[off.argmin()]:+d} h (summer time?)"
+        moved_h = np.array([0, -1, 1])
+        error = np.abs(measured[(hours[rows] + moved_h[:, None]) % 8760] - modelled[rows])
+        sums = error[:, np.isfinite(error).all(axis=0)].sum(axis=1)  # for each of `moved_h`
+        if sums.min() < 0.5 * sums[0]:
+            by = f"{moved_h[sums.argmin()]:+d} h (summer time?)"
             yield f"From {season} the table agrees twice as well if moved by {by}"
 
 
-def _of_evalglare(session: Session, path: Path, azimuths_deg: Sequence[float]) -> list[_Shared]:
-    """Return DGP and Ev of captures with evalglare's; empty for a file without its results.
+def _hours_of_evalglare(
+    session: Session, path: Path, azimuths_deg: Sequence[float]
+) -> list[SharedHours]:
+    """Return DGP and Ev of captures next to those that evalglare computed for a model.
 
-    path: evalglare's output for several pictures; azimuths_deg: for pictures whose view is unknown.
+    path: evalglare's output for several pictures; azimuths_deg: the view direction of pictures
+    whose name has none. The result is empty for a file without results of evalglare. Raises
+    InputError if no result is of a capture.
     """
     results = list(_EVALGLARE.finditer(strict_csv.read_text(path, "a model's table")))
     files = {file.stem: file for file in session.panorama_files()}
+    # (hour of the year, measured, model) by azimuth and figure
     rows: dict[tuple[float, str], list[tuple[float, ...]]] = {}
     slot, view, zone = "", "", session.site_file().site.timezone
-    for result in results:
+    for result in results:  # a picture's name, or a line of figures for the last name
         slot, view = result["slot"] or slot, (result["view"] or "") if result["slot"] else view
         if not result["names"] or slot not in files:
             continue
-        azimuth = _azimuth(view, azimuths_deg, path)
-        (own,) = picture_glare(files[slot], [azimuth])["views"]
+        azimuth_deg = _azimuth_of(view, azimuths_deg, path)
+        (measured,) = picture_glare(files[slot], [azimuth_deg])["views"]
         hour = hour_of_year(parse_utc(slot), zone)
         with input_errors(path, "a number for each name", "run evalglare again", ValueError):
             numbers = map(float, result["values"].split())
             values = dict(zip(result["names"].lower().split(","), numbers, strict=True))
         for name in filter(_FIGURES.get, values):
-            row = (hour, own[_FIGURES[name]], values[name])
-            if row[1] is not None and np.isfinite(values[name]):  # None where no lens saw the view
-                rows.setdefault((azimuth, _FIGURES[name]), []).append(row)
+            figure = measured[_FIGURES[name]]  # None where no lens saw the view
+            if figure is not None and np.isfinite(values[name]):
+                row = (hour, figure, values[name])
+                rows.setdefault((azimuth_deg, _FIGURES[name]), []).append(row)
     if not rows and any(result["names"] for result in results):
         found = f"no result below the name of a capture of {session.root} that saw the view"
         remedy = "for f in *.hdr; do echo $f; evalglare -d $f; done"
         raise InputError(path, found, "20270320T193000Z-180.hdr, then its result", remedy)
     shared = []
-    for (azimuth, figure), values in rows.items():
-        hours, own, other = np.array(values, float).T
-        other = _values(path, figure, other)
-        shared.append(_Shared(azimuth, figure, hours.astype(int), own, other))
+    for (azimuth_deg, figure), values in rows.items():
+        hours, measured, modelled = np.array(values, float).T
+        modelled = _valid_figures(path, figure, modelled)
+        shared.append(SharedHours(azimuth_deg, figure, hours.astype(int), measured, modelled))
     return shared
 
 
-def _of_hours(shared: Sequence[_Shared], note: Sequence[str], out: Path) -> Comparison:
+def _comparison_of_hours(
+    shared: Sequence[SharedHours], notes: Sequence[str], out: Path
+) -> Comparison:
+    """Write compare.csv and compare.png of hourly figures to `out`, and return the comparison.
+
+    notes: sentences that follow those on each view.
+    """
     files = _write(out, [row for part in shared for row in part.rows()], _hours_png(shared))
-    text = [*(part.text() for part in shared), *note]
+    text = [*(part.text() for part in shared), *notes]
     return Comparison([], [part.direction() for part in shared], text, files)
 
 
-class _Shared(NamedTuple):
-    """One figure of one view in the n hours that the year and the model share, [n] each."""
-
-    azimuth_deg: float
-    figure: str
-    hour_of_year: Array
-    measured: Floats
-    model: Floats
-
-    def direction(self) -> JsonTable:
-        pair = (self.measured, self.model)
-        over = [int((v > DISTURBING_DGP).sum()) if self.figure == "dgp" else None for v in pair]
-        means = (float(v.mean()) for v in (*pair, np.abs(self.model - self.measured)))
-        names = ("azimuth_deg", "figure", "hours", "measured", "model", "mean_abs")
-        row = (self.azimuth_deg, self.figure, len(self.model), *means, *over)
-        return dict(zip((*names, "over", "model_over"), row, strict=True))
-
-    def rows(self) -> list[JsonTable]:
-        head, hours = (self.azimuth_deg, self.figure), self.hour_of_year.tolist()
-        rows = zip(hours, self.measured.round(4), self.model.round(4), strict=True)
-        return [dict(zip(_Shared._fields, (*head, *row), strict=True)) for row in rows]
-
-    def text(self) -> str:
-        """Return a sentence on the month and the hour of the day in which the model errs most."""
-        off = self.model - self.measured
-        number, unit = ("+.3f", "") if self.figure == "dgp" else ("+.0f", " lx")
-
-        def worst(group: Array) -> tuple[int, str]:
-            """Return the group with the largest mean absolute error, and the error as a text."""
-            errors = {k: float(np.abs(off[group == k]).mean()) for k in set(group.tolist())}
-            k = max(errors, key=errors.__getitem__)
-            return k, f"{errors[k]:{number[1:]}}{unit}"
-
-        month, by_month = worst(np.searchsorted(np.cumsum(_DAYS), self.hour_of_year // 24, "right"))
-        hour, by_hour = worst(self.hour_of_year % 24)
-        return (
-            f"{self.figure} facing {self.azimuth_deg:g} deg: the model is {off.mean():{number}}"
-            f"{unit} in the mean; its mean absolute error is largest in "
-            f"{calendar.month_name[month + 1]} ({by_month}) and from {hour}:00 to {hour + 1}:00 "
-            f"({by_hour})."
-        )
-
-
-def _hours_png(shared: Sequence[_Shared]) -> bytes:
-    """Return a picture of the difference of each view over the days and hours of the year."""
+def _hours_png(shared: Sequence[SharedHours]) -> bytes:
+    """Return a PNG with the difference of each view over the days and hours of the year."""
     with styled():
         figure = new_figure(10.0, 2.6 * len(shared))
         axes = figure.subplots(len(shared), 1, squeeze=False)[:, 0]
         for axis, part in zip(axes, shared, strict=True):
-            grid = np.full(8760, np.nan)
-            grid[part.hour_of_year] = part.model - part.measured
-            reach = float(np.nanpercentile(np.abs(grid), 98)) or 1.0
-            image = axis.pcolormesh(grid.reshape(-1, 24).T, cmap="RdBu_r", vmin=-reach, vmax=reach)
+            errors = np.full(8760, np.nan)
+            errors[part.hour_of_year] = part.model - part.measured
+            # ends of the colour scale; a few larger errors are cut off
+            top = float(np.nanpercentile(np.abs(errors), 98)) or 1.0
+            image = axis.pcolormesh(errors.reshape(-1, 24).T, cmap="RdBu_r", vmin=-top, vmax=top)
             figure.colorbar(image, ax=axis, extend="both", label="model - measured")
             axis.set_title(f"{part.figure} facing {part.azimuth_deg:g} deg")
             axis.set(xlabel="day of the year", ylabel="hour, standard time")

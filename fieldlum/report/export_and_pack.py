@@ -5,8 +5,6 @@ session's files, DATASHEET.md (Gebru et al., Commun. ACM 64, 2021, in short), da
 (DataCite Metadata Schema 4.5) and MANIFEST.sha256.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
@@ -14,10 +12,11 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
+import xarray as xr
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.false_colour import png_of
@@ -44,18 +43,14 @@ from fieldlum.year.glare.pictures import FISHEYE_VIEW, panorama_to_fisheye, pict
 from fieldlum.year.predict import newest_annual
 from fieldlum.year.predict.annual import time_coordinate, unit_of
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-
-_FISHEYE_PX = 800  # evalglare's documentation recommends at least this; its -vta pictures
-_NORTH = "# y points to azimuth"  # begins a room.rad of `export`
-_MARK_BYTES = 100  # of a file, which name its writer; room.hbjson has its name in the first 50
+_FISHEYE_PX = 800  # evalglare's documentation recommends at least this for -vta pictures
+_NORTH = "# y points to azimuth"  # the first words of a room.rad of `export`
+_MARK_BYTES = 100  # at the beginning of a file of `export`, which name it; room.hbjson needs 50
 _PAIR_COLUMNS = ("dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg")
 
 
 def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> list[Path]:
-    """Write everything that a session has, and return the files.
+    """Write everything that a session has into the folder `out`, and return the files.
 
     maps/SLOT-AZ.hdr: Radiance fisheyes with VIEW and the sun, facing `azimuths_deg` (clockwise from
     true north; the camera's heading if empty). sky_view.csv: by altitude_deg and azimuth_deg,
@@ -70,42 +65,43 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
         remedy = "run fieldlum merge"
         raise NotEnoughDataError(f"{session.root}: no merged map and no year; {remedy}")
     (out / "maps").mkdir(parents=True, exist_ok=True)
-    seen_deg = azimuths_deg or (session.site_file().camera.heading_deg,)
-    files = [*_sky(session, out), *_room(session, out, seen_deg), *_pairs(session, out)]
+    views_deg = azimuths_deg or (session.site_file().camera.heading_deg,)
+    files = [*_sky(session, out), *_room(session, out, views_deg), *_pairs(session, out)]
     if (annual := newest_annual(session)) is not None:
         files.append(_netcdf(annual.to_xarray(), out / "year.nc"))
     for number, path in enumerate(panoramas):
         progress(number, len(panoramas), "maps")
         panorama = read_panorama_with_sun(path)
         light, _ = valid_pixels(panorama, path)
-        asked = azimuths_deg or (panorama.heading_deg,)
-        for azimuth in dict.fromkeys(round(a % 360.0, 1) % 360.0 for a in asked):
-            place = (panorama.heading_deg, azimuth)
-            picture = panorama_to_fisheye(light, *place, size=_FISHEYE_PX, sun=panorama.sun)
-            toward = " ".join(f"{value:.6f}" for value in direction(0.0, azimuth))
-            view = f"{FISHEYE_VIEW} -vp 0 0 0 -vd {toward} -vu 0 0 1"
-            files.append(out / "maps" / f"{path.stem}-{azimuth:g}.hdr")
+        asked_deg = azimuths_deg or (panorama.heading_deg,)
+        for azimuth_deg in dict.fromkeys(round(a % 360.0, 1) % 360.0 for a in asked_deg):
+            turn_deg = (panorama.heading_deg, azimuth_deg)  # from the map's heading to the view
+            picture = panorama_to_fisheye(light, *turn_deg, size=_FISHEYE_PX, sun=panorama.sun)
+            forward = " ".join(f"{value:.6f}" for value in direction(0.0, azimuth_deg))
+            view = f"{FISHEYE_VIEW} -vp 0 0 0 -vd {forward} -vu 0 0 1"
+            files.append(out / "maps" / f"{path.stem}-{azimuth_deg:g}.hdr")
             with replacing_path(files[-1]) as temporary:
                 write_radiance_hdr(temporary, picture, view=view)
     return files
 
 
 def _sky(session: Session, out: Path) -> list[Path]:
-    """Write the sky view by degree above the horizon as a csv, and as an equidistant fisheye.
+    """Write sky_view.csv and sky_view_mask.png; return the files, none without a sky view.
 
-    out: the folder; return the files, none without a sky view. The fisheye looks to the zenith,
-    north up and east left as in pictures of the sky: white where the beam arrives, black where it
-    does not, grey where no lens saw.
+    The csv has a row for each degree of azimuth and of altitude, 0 to 90. The picture is an
+    equidistant fisheye that looks to the zenith, north up and east left as in pictures of the sky:
+    white where the beam arrives, black where it does not, grey where no lens saw. out: the folder.
     """
     view = SkyView.find(session.root / "sky_view.exr")
     if view is None:
         return []
     altitude, azimuth = (part.ravel() for part in np.mgrid[0:91, 0:360].astype(float))
-    through = view.beam_shares(direction(altitude, azimuth))
+    shares = view.beam_shares(direction(altitude, azimuth))  # beam_share, low, high
     table, picture = out / "sky_view.csv", out / "sky_view_mask.png"
     names = ("altitude_deg", "azimuth_deg", "beam_share", "low", "high")
-    rows = zip(altitude, azimuth, *through, strict=True)
+    rows = zip(altitude, azimuth, *shares, strict=True)
     write_csv(table, (dict(zip(names, row, strict=True)) for row in rows), names, digits=4)
+    # pixels from the middle, 1 at the horizon
     y, x = 2.0 * np.array(np.broadcast_arrays(*picture_centres(_FISHEYE_PX, _FISHEYE_PX)))
     radius = np.hypot(x, y)
     rays = direction(90.0 * (1.0 - radius), np.degrees(np.arctan2(-x, y)))
@@ -116,10 +112,11 @@ def _sky(session: Session, out: Path) -> list[Path]:
 
 
 def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Path]:
-    """Write the room for Radiance and for honeybee, with views; return the files, none without one.
+    """Write room.rad for Radiance and room.hbjson for honeybee; return the files.
 
-    The fitted room is written if it was chosen. Raises InputError for a file that export did not
-    write.
+    The fitted room is written if it was chosen, else the stated one; without a box room nothing is.
+    azimuths_deg: view directions in room.hbjson. Raises InputError if one of the files exists and
+    was not written by export.
     """
     scene = session.root / "scene"
     room: Room | None = session.site_file().room
@@ -128,61 +125,59 @@ def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Pa
         room = fitted.room if fitted.chosen == "fitted" else room
     if room is None or room.kind != "box":
         return []
-    path, model = out / "room.rad", out / "room.hbjson"
-    for file, mark in ((path, _NORTH), (model, MODEL_NAME)):
+    rad_file, honeybee_file = out / "room.rad", out / "room.hbjson"
+    for file, mark in ((rad_file, _NORTH), (honeybee_file, MODEL_NAME)):
         if file.is_file() and mark.encode() not in read_bytes(file)[:_MARK_BYTES]:
             found = "a file that export did not write"
             raise InputError(file, found, "another folder", "choose another --out")
     north = f"{_NORTH} {(room.wall_azimuth_deg + 180) % 360:g} deg from true north\n"
-    write_file(path, north + rad_text(build(room)))
-    write_object(model, honeybee_model(room, azimuths_deg))
-    return [path, model]
+    write_file(rad_file, north + rad_text(build(room)))
+    write_object(honeybee_file, honeybee_model(room, azimuths_deg))
+    return [rad_file, honeybee_file]
 
 
 def _pairs(session: Session, out: Path) -> list[Path]:
-    """Write the usable rows of pairs.csv as netCDF; return the file, none without rows."""
-    pairs = PairsFile.find(session.pairs).usable
-    if not pairs:
+    """Write the usable rows of pairs.csv as pairs.nc; return the file, none without rows."""
+    rows = PairsFile.find(session.pairs).usable
+    if not rows:
         return []
-    import xarray as xr
-
     columns = {
-        name: ("time", [getattr(row, name) for row in pairs], {"units": unit_of(name)})
+        name: ("time", [getattr(row, name) for row in rows], {"units": unit_of(name)})
         for name in _PAIR_COLUMNS
     }
-    columns["panorama"] = ("time", [row.panorama for row in pairs], {})
-    coordinates = {"time": time_coordinate([row.t_utc for row in pairs])}
+    columns["panorama"] = ("time", [row.panorama for row in rows], {})
+    coordinates = {"time": time_coordinate([row.t_utc for row in rows])}
     return [_netcdf(xr.Dataset(columns, coordinates), out / "pairs.nc")]
 
 
 def _netcdf(data: xr.Dataset, path: Path) -> Path:
     """Write a dataset as netCDF 3; return its path."""
     with replacing_path(path) as temporary:
-        # xarray's integers have 32 bits there: 68 years of seconds
-        wide = {"time": {"dtype": "float64"}}
-        data.to_netcdf(temporary, engine="scipy", format="NETCDF3_64BIT", encoding=wide)
+        # netCDF 3 has no integers above 32 bits, which are 68 years of seconds
+        encoding = {"time": {"dtype": "float64"}}
+        data.to_netcdf(temporary, engine="scipy", format="NETCDF3_64BIT", encoding=encoding)
     return path
 
 
 # ----------------------------------------------------------------------------------------------
 # archive
 
-# The parts of a session that others can use; everything else (locks, outbox, models of other
-# versions, the watch page's files, simulated truth) stays at home.
+# The parts of a session that others can use. Everything else is not packed: locks, outbox, models,
+# the watch page's files, simulated truth.
 _FOLDERS = ("raw", "panoramas", "irradiance", "sunpatches", "annual", "scene")
 _FILES = ("plan.csv", "journal.jsonl", "pairs.csv", "pairs.alignment.csv", "suns.csv")
-_HOME_PATH = re.compile(rb"/home/|/Users/|[A-Z]:[\\]+Users")  # in a text: a person's folder
+_PERSONAL_PATH = re.compile(rb"/home/|/Users/|[A-Z]:[\\]+Users")
 _LEFT_OUT = re.compile(r"(^|/)\.|\.(tmp|torn|sha256|zip)$|^outbox")
-_HOME_TABLES = ("imported", "logger_files")  # have folders of this computer
+_LOCAL_TABLES = ("imported", "logger_files")  # of session.toml; they name folders of this computer
 _JPEG = (".jpg", ".jpeg")
 _FRAMES = (*_JPEG, ".tif", ".tiff", ".png", ".heic", *RAW_SUFFIXES)
-# EXIF 2.32: GPS IFD and its version, which cameras write without a position; CameraOwnerName and
-# Artist; BodySerialNumber, LensSerialNumber, and CameraSerialNumber of DNG 1.4
+# Tags of EXIF 2.32: GPS IFD, and its version, which cameras write without a position;
+# CameraOwnerName and Artist; BodySerialNumber, LensSerialNumber, and CameraSerialNumber of DNG 1.4.
 _GPS, _GPS_VERSION, _OWNER, _SERIAL = 0x8825, 0, (0xA430, 0x013B), (0xA431, 0xA435, 0xC62F)
 
 
 class Statement(NamedTuple):
-    """What only its authors know of a data set.
+    """What only the authors of a data set can state about it.
 
     title; authors: "Family, Given" each; licence: SPDX identifier, such as CC-BY-4.0; publisher:
     who gives the DOI, such as Zenodo; people: who can be seen, and how they consented.
@@ -208,8 +203,8 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
     if not session.captured_folders() and not session.panorama_files():
         raise NotEnoughDataError(f"{session.root}: no captures; pack it when it has some")
     files = sorted(_files(session))
-    stated = [(path, _private_exif(path)) for path in files]
-    if private := [text for _, text in stated if text]:
+    exif = [(path, _private_exif(path)) for path in files]
+    if private := [text for _, text in exif if text]:
         found = f"{counted(len(private), 'frame')} with private EXIF, such as {private[0]}"
         remedy = (
             "remove them in a copy: exiftool -gps:all= -OwnerName= -Artist= -SerialNumber= "
@@ -217,7 +212,7 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
         )
         raise InputError(session.root, found, "frames without position, owner, serial", remedy)
     notes = _notes(session)
-    if unread := [p.name for p, text in stated if text is None and not p.match("contact-*.png")]:
+    if unread := [p.name for p, text in exif if text is None and not p.match("contact-*.png")]:
         found = counted(len(unread), "frame")
         notes.insert(0, f"EXIF of {found} such as {unread[0]} cannot be read: look with exiftool")
     texts = {
@@ -225,10 +220,11 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
         "DATASHEET.md": _data_sheet(session, statement, notes, len(files)),
         "datacite.json": json.dumps(_datacite(session, statement), indent=1, ensure_ascii=False),
     }
-    top, digests = session.root.resolve().name, []  # of ".", too
+    top, digests = session.root.resolve().name, []  # resolved, because "." has no name
     with replacing_path(out) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive:
 
         def add(name: str, data: bytes) -> None:
+            """Add a file to the archive, and its checksum to the manifest."""
             digests.append((name, hashlib.sha256(data).hexdigest()))
             archive.writestr(f"{top}/{name}", data)
 
@@ -244,6 +240,7 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
 
 
 def _files(session: Session) -> Iterator[Path]:
+    """Yield the files of a session that are packed as they are; links are not."""
     files = [session.root / name for name in (*_FILES, "sky_view.exr")]
     files += [path for folder in _FOLDERS for path in (session.root / folder).rglob("*")]
     for path in files:
@@ -253,9 +250,9 @@ def _files(session: Session) -> Iterator[Path]:
 
 
 def _private_exif(path: Path) -> str | None:
-    """Return what a frame's EXIF states of its place, owner or camera; "" for nothing.
+    """Return a text on the private facts in a frame's EXIF: position, owner, serial number.
 
-    None: the EXIF cannot be read.
+    The result is "" if there are none, or if the file is no frame; None if the EXIF cannot be read.
     """
     if path.suffix.lower() not in _FRAMES:
         return ""
@@ -265,23 +262,24 @@ def _private_exif(path: Path) -> str | None:
         return None
     if not tags and path.suffix.lower() not in _JPEG:
         return None
-    gps = tags.get(_GPS)  # a directory, or a number: one that cannot be read
-    is_place = set(gps) - {_GPS_VERSION} if isinstance(gps, Mapping) else gps is not None
-    found = ["a position"] if is_place else []
+    gps = tags.get(_GPS)  # a directory; or a number, if the directory cannot be read
+    has_place = set(gps) - {_GPS_VERSION} if isinstance(gps, Mapping) else gps is not None
+    found = ["a position"] if has_place else []
     found += ["an owner's name"] if any(text_of(tags, tag) for tag in _OWNER) else []
     found += ["a serial number"] if any(text_of(tags, tag) for tag in _SERIAL) else []
     return f"{path.name} ({', '.join(found)})" if found else ""
 
 
 def _session_toml(session: Session) -> str:
+    """Return session.toml without folders of this computer and addresses of devices."""
     stored = read_toml(session.toml)
-    table = {name: part for name, part in stored.items() if name not in _HOME_TABLES}
-    table.get("devices", {}).pop("uris", None)  # addresses
+    table = {name: part for name, part in stored.items() if name not in _LOCAL_TABLES}
+    table.get("devices", {}).pop("uris", None)
     return tomli_w.dumps(table)
 
 
 def _notes(session: Session) -> list[str]:
-    """Return what the authors should look at before they publish."""
+    """Return what the authors should check before they publish, one sentence each."""
     notes, moved = [], []
     for path in session.panorama_files():
         flags = read_panorama(path).flags
@@ -291,7 +289,7 @@ def _notes(session: Session) -> list[str]:
     if moved:
         notes.append(f"something moved, perhaps people: look at the frames of {listed(moved)}")
     texts = [session.root / name for name in _FILES if (session.root / name).is_file()]
-    if named := [path.name for path in texts if _HOME_PATH.search(read_bytes(path))]:
+    if named := [path.name for path in texts if _PERSONAL_PATH.search(read_bytes(path))]:
         notes.append(f"folders of this computer are named in {', '.join(named)}")
     place = "latitude and longitude in session.toml, and the suns in the tables, give the place"
     people = "look at every contact sheet for people, screens and papers before you publish"
@@ -299,15 +297,16 @@ def _notes(session: Session) -> list[str]:
 
 
 def _span(session: Session) -> tuple[str, str]:
-    times = [path.stem for path in session.panorama_files()]
-    days = [f"{t[:4]}-{t[4:6]}-{t[6:8]}" for t in times] or [date.today().isoformat()]  # noqa: DTZ011
+    """Return the days of the first and of the last panorama, in UTC; without any, today."""
+    slots = [path.stem for path in session.panorama_files()]  # such as 20270320T193000Z
+    days = [f"{s[:4]}-{s[4:6]}-{s[6:8]}" for s in slots] or [date.today().isoformat()]  # noqa: DTZ011
     return days[0], days[-1]
 
 
 def _data_sheet(session: Session, s: Statement, notes: Sequence[str], count: int) -> str:
     """Return DATASHEET.md of an archive.
 
-    s: who publishes it and how; notes: what to check before; count: number of files.
+    s: the authors' statement; notes: what to check before publication; count: number of files.
     """
     setup, (first, last) = session.site_file(), _span(session)
     captured, merged = len(session.captured_folders()), len(session.panorama_files())
@@ -328,7 +327,7 @@ def _data_sheet(session: Session, s: Statement, notes: Sequence[str], count: int
 
 
 def _datacite(session: Session, s: Statement) -> dict[str, Any]:
-    """Return the metadata of an archive by DataCite's schema; s: who publishes it and how."""
+    """Return the metadata of an archive by DataCite's schema; s: the authors' statement."""
     first, last = _span(session)
     return {
         "schemaVersion": "http://datacite.org/schema/kernel-4",

@@ -32,25 +32,32 @@ def direction_name(azimuth_deg: float) -> str:
 
 
 def sentence(text: str) -> str:
-    """Return a note, any `text`, as a sentence: first a capital, a full stop at its end."""
+    """Return a text as a sentence: with a capital at its beginning and a full stop at its end."""
     return f"{text[0].upper()}{text[1:].rstrip('.')}.".replace("+-", "±")
 
 
 def class_name(row: DirectionYear) -> str:
-    """Return the glare class in words; EN 17037 has no name for what is below its minimum."""
+    """Return the glare class of a direction in words.
+
+    EN 17037 has no name for what is below its minimum.
+    """
     return "below minimum" if row.glare_class == "none" else row.glare_class
 
 
 def chip(row: DirectionYear, more: str = "") -> dict[str, str]:
-    """Return a table cell with a direction's glare class in its colour; keys: kind and text.
+    """Return a table cell that shows a direction's glare class in the colour of the class.
 
-    kind is the class, or "open" (grey) while it is not certain; text the class, then `more`.
+    more: text after the class. Keys for the template: kind, the class, or "open" (grey) while it is
+    not certain; text, the class in words and `more`.
     """
     return {"kind": row.glare_class if row.certain else "open", "text": class_name(row) + more}
 
 
 class Figure(NamedTuple):
-    """A picture, as SVG text or the bytes of a PNG; alt: for screen readers, "" for the caption."""
+    """A picture of the page.
+
+    content: SVG text, or the bytes of a PNG; alt: text for screen readers, "" for the caption.
+    """
 
     content: str | bytes
     caption: str
@@ -60,8 +67,9 @@ class Figure(NamedTuple):
 class Table(NamedTuple):
     """A table with an optional title.
 
-    rows: cells of each row, as many as `head`; folded: shown after a click; words: cells are words,
-    aligned left.
+    head: names of the columns; rows: cells of each row, as many as `head`: text, numbers or the
+    result of `chip`; folded: whether it is shown only after a click; words: whether the cells are
+    words, aligned left.
     """
 
     head: Sequence[str]
@@ -72,7 +80,11 @@ class Table(NamedTuple):
 
 
 class Section(NamedTuple):
-    """One section of the page: text (a paragraph a line), rows of figures, tables, `heat_map`."""
+    """One section of the page.
+
+    id: anchor in the page; text: a paragraph in each line; rows: figures next to each other;
+    heatmap: the result of `heat_map`.
+    """
 
     id: str
     title: str
@@ -83,10 +95,10 @@ class Section(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """One layer of the heat map.
+    """A quantity that the heat map can show.
 
-    step: resolution of the stored integers; edges: values at which the colour changes; colours: one
-    more than edges; digits: decimals shown.
+    step: of the values as stored, in the unit; edges: values at which the colour changes; colours:
+    one more than edges; digits: decimals shown.
     """
 
     name: str
@@ -109,20 +121,21 @@ NOT_TRUSTED = Quantity("Hours that are not trusted", "", 1.0, (1.0,), ("#cfe6dc"
 def heat_map(
     day: Array, hour: Array, layers: Sequence[tuple[Quantity, Floats]], year: int, **about: Any
 ) -> JsonTable:
-    """Return the heat map for the template: days by hours, for each layer [n, d] of n hours.
+    """Return the heat map of a year for the template: a cell for each day and hour.
 
-    day: of the year, from 1, and hour, 0 to 23, of each, [n]; year: for the dates. Keys: json, the
-    data for the script; quantities, names of the layers; and those of `about`, for the template:
-    directions: names [d]; start: index of the direction shown first; used: hours of the day at
-    which lines are drawn; alt: text instead of the picture.
+    day: of the year, from 1, and hour, 0 to 23, of n hours, [n]; year: for the dates. layers:
+    quantities, each with its values [n, d] in d directions, NaN for none. about: keys for the
+    template: directions: names [d]; start: index of the direction shown first; used: hours of the
+    day at which lines are drawn; alt: text instead of the picture. Other keys of the result: json,
+    the data for the script; quantities, names of the layers.
     """
     days = max(365, int(day.max()))
     quantities = []
     for layer, values in layers:
-        steps = np.full((values.shape[1], days, 24), NOTHING, "<u2")
-        cells = np.clip(np.nan_to_num(values) / layer.step, 0, NOTHING - 1).round()
-        steps[:, day - 1, hour] = np.where(np.isfinite(values), cells, NOTHING).T
-        grids = [base64.b64encode(grid.tobytes()).decode() for grid in steps]
+        cells = np.full((values.shape[1], days, 24), NOTHING, "<u2")
+        steps = np.clip(np.nan_to_num(values) / layer.step, 0, NOTHING - 1).round()
+        cells[:, day - 1, hour] = np.where(np.isfinite(values), steps, NOTHING).T
+        grids = [base64.b64encode(grid.tobytes()).decode() for grid in cells]
         quantities.append(layer._asdict() | {"grids": grids})
     data = json.dumps({"year": year, "days": days, "quantities": quantities})
     names = [layer.name for layer, _ in layers]
@@ -132,7 +145,8 @@ def heat_map(
 class Page(NamedTuple):
     """What a page shows.
 
-    answer, why: the direction to sit in, and the reason; facts: (name, value) pairs.
+    answer, why: the direction to sit in, and the reason; facts: (name, value) pairs; warnings: one
+    sentence each; polar: glare by direction, next to the answer.
     """
 
     title: str
@@ -145,7 +159,7 @@ class Page(NamedTuple):
 
 
 def render(page: Page) -> str:
-    """Return the page as HTML; all text but SVG and JSON is escaped."""
+    """Return a page as one self-contained HTML file; all text but SVG and JSON is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     blocks = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
@@ -183,14 +197,14 @@ def picture_grid(
     *,
     ratios: bool = False,
 ) -> tuple[Drawing, list[Axes]]:
-    """Draw luminance pictures [H, W] in cd/m2 in false colour, with titles and one colour bar.
+    """Draw luminance pictures in false colour with one colour bar; return the figure and its axes.
 
-    columns: pictures in a row; width_in: of one picture in inches; scale_cdm2: ends of the colour
-    scale, at which values are cut off. NaN is white. ratios: the maps of the last column are binary
-    logarithms of ratios, drawn from blue (1/2) to red (2) with their own bar. Return the figure and
-    the axes of each map, in pixels from its top left.
+    maps: [H, W] each, in cd/m2, NaN is white; titles: of the maps; columns: pictures in a row;
+    width_in: of one picture in inches; scale_cdm2: ends of the colour scale, at which values are
+    cut off. ratios: the maps of the last column are binary logarithms of ratios, drawn from blue
+    (1/2) to red (2) with their own bar. The axes of each map are in pixels from its top left.
     """
-    rows, columns = -(-len(maps) // columns), min(columns, len(maps))
+    rows, columns = -(-len(maps) // columns), min(columns, len(maps))  # rows rounded up
     height_in = width_in * max(image.shape[0] / image.shape[1] for image in maps) + 0.4
     light = ScalarMappable(LogNorm(*scale_cdm2), COLOUR_MAP)
     ratio = ScalarMappable(Normalize(-1.0, 1.0), "RdBu_r")
@@ -221,12 +235,12 @@ def comparison_png(
 ) -> bytes:
     """Return a PNG with a row for each of n maps: measured, predicted, and their ratio.
 
-    measured, predicted: [H, W] each, cd/m2; labels: [n]; name: of the second column. Values below
-    1 cd/m2 count as 1 in the ratio. As Liu, Colburn and Inanici 2020, Figures 9 and 23.
+    measured, predicted: n maps each, [H, W], cd/m2; labels: [n]; name: of the second column. Values
+    below 1 cd/m2 count as 1 in the ratio. As Liu, Colburn and Inanici 2020, Figures 9 and 23.
     """
     maps, titles = [], []
-    for own, other, label in zip(measured, predicted, labels, strict=True):
-        maps += [own, other, np.log2(np.maximum(other, 1.0) / np.maximum(own, 1.0))]
+    for true, model, label in zip(measured, predicted, labels, strict=True):
+        maps += [true, model, np.log2(np.maximum(model, 1.0) / np.maximum(true, 1.0))]
         titles += [f"measured: {label}", name, f"{name} over measured"]
     return png(picture_grid(maps, titles, 3, 4.0, ratios=True)[0])
 
@@ -238,10 +252,10 @@ def comparison_png(
 def captured_svg(
     year: Sequence[Floats], captured: Sequence[Floats], label: str, x_name: str, y_name: str
 ) -> str:
-    """Plot captured hours over the other hours of a year, in any two quantities; return SVG text.
+    """Return an SVG of captured hours over the other hours of a year, in any two quantities.
 
-    year, captured: x and y of the points, at least 0 [n] each; year without points is not drawn.
-    label: of the year's points; x_name, y_name: of the axes.
+    year, captured: x and y of the points, [n] each; y is at least 0, and a year without points is
+    not drawn. label: of the year's points; x_name, y_name: of the axes.
     """
     with styled():
         figure = Drawing(figsize=(5.2, 3.4))
@@ -259,14 +273,14 @@ def captured_svg(
 
 
 def polar_svg(azimuths_deg: Floats, dgp_exceeded: Floats, low: Floats, high: Floats) -> str:
-    """Plot the DGP exceeded in 5 % of the occupied hours by view direction, over the class limits.
+    """Return an SVG of the DGP exceeded in 5 % of the occupied hours, by view direction.
 
-    azimuths_deg, dgp_exceeded, low, high: [d]. Directions run clockwise from north; low and high
-    bound the 95 % interval. A NaN is a direction that was not seen, or an unknown interval: there
-    is a gap. Return SVG text.
+    It is a polar plot over the limits of the classes. azimuths_deg, dgp_exceeded, low, high: [d];
+    directions run clockwise from north, low and high bound the 95 % interval. A NaN is a direction
+    that was not seen, or an unknown interval: there is a gap.
     """
     order = np.argsort(azimuths_deg)
-    around = np.append(order, order[0])
+    around = np.append(order, order[0])  # a closed line
     angle = np.radians(np.append(azimuths_deg[order], azimuths_deg[order[0]] + 360.0))
     floor, top = POLAR_RANGE
     limits = [limit for _, limit in CLASSES]

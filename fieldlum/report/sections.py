@@ -22,7 +22,6 @@ from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import DirectionYear
 from fieldlum.session.panorama_sun import SUN_FROM, read_suns
 from fieldlum.sky import sun
-from fieldlum.sky.sun import apparent_altitude_deg, standard_time
 from fieldlum.year.glare.pictures import panorama_to_fisheye, picture_centres
 from fieldlum.year.glare.standards import EXCEEDED_SHARE, dgp_per_scale
 from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE, read_budgets
@@ -30,14 +29,14 @@ from fieldlum.year.predict import Annual, melanopic
 from fieldlum.year.predict.annual import Pictures
 from fieldlum.year.predict.year import best_and_worst, is_current
 
-_FISHEYE_PX = 220  # of a fisheye's edge: about its size on the page
-GA_DGP, SDG_DGP = 0.40, 0.38  # honeybee's and ClimateStudio's limits
+_FISHEYE_PX = 220  # width and height of a fisheye: about its size on the page
+GA_DGP, SDG_DGP = 0.40, 0.38  # honeybee's limit of GA, and ClimateStudio's of sDG
 
 
 def best_direction(annual: Annual) -> tuple[str, str]:
-    """Return which way to face against glare, and the reason, as two texts of the page.
+    """Return the direction with the least glare, and the reason, as two texts of the page.
 
-    If no direction was seen enough, both state this and what to capture.
+    If no direction was seen enough, the texts state this and what to capture.
     """
     rows = annual.summary.protection
     ends = best_and_worst(rows)
@@ -47,8 +46,8 @@ def best_direction(annual: Annual) -> tuple[str, str]:
             "Capture several headings (headings in SITE.toml), or use a lens that sees more.",
         )
     best, worst = ends
-    blind = [direction_name(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
-    unseen = f"No result for views to {', '.join(blind)}: the camera saw less than half of them. "
+    hidden = [direction_name(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
+    unseen = f"No result for views to {', '.join(hidden)}: the camera saw less than half of them. "
     advice = f"facing {direction_name(best.azimuth_deg)}: {_class_words(best)}."
     doubtful = best.glare_class == "none" or (best.seen == PARTLY_SEEN and not best.certain)
     lead = "Least glare" if doubtful or annual.summary.weather.synthetic else "Sit"
@@ -59,14 +58,14 @@ def best_direction(annual: Annual) -> tuple[str, str]:
         f"Facing {direction_name(worst.azimuth_deg)}, disturbing glare (DGP above 0.40) comes in "
         f"{worst.hours_over['0.40']} of {annual.summary.occupancy.hours} occupied hours of the "
         f"year; facing {direction_name(best.azimuth_deg)} in {best.hours_over['0.40']}. "
-        f"{unseen if blind else ''}A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 "
+        f"{unseen if hidden else ''}A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 "
         "(medium) or 0.45 (minimum) in at most 5 % of the occupied hours. All of it holds for the "
         "camera's place: half a metre away, the window's edges are elsewhere.",
     )
 
 
 def _class_words(row: DirectionYear) -> str:
-    """Return the class of a direction in words, with what restricts it."""
+    """Return the class of a direction in words, with its restrictions: unseen parts, doubt."""
     name = f"{row.glare_class} protection"
     words = f"{'worse than minimum protection' if row.glare_class == 'none' else name} from glare"
     if row.seen == PARTLY_SEEN and not row.certain:
@@ -79,6 +78,7 @@ def _class_words(row: DirectionYear) -> str:
 def polar(annual: Annual) -> Figure:
     """Return the polar plot, north up, of the DGP exceeded in 5 % of the occupied hours."""
     rows = annual.summary.protection
+    # [d, 4], NaN where unknown
     figures = np.array([(r.azimuth_deg, r.dgp_exceeded, r.low, r.high) for r in rows], float)
     each = (f"{direction_name(row.azimuth_deg)} {exceeded_text(row, NOT_SEEN)}" for row in rows)
     spoken = ", ".join(each)
@@ -93,7 +93,7 @@ def polar(annual: Annual) -> Figure:
 
 
 def exceeded_text(row: DirectionYear, unknown: str = "–") -> str:
-    """Return the DGP that 5 % of the occupied hours exceed, or that it is unknown."""
+    """Return the DGP that 5 % of the occupied hours exceed, as text; `unknown` if there is none."""
     return unknown if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
 
 
@@ -117,12 +117,12 @@ class Share(NamedTuple):
 def _hours_over(annual: Annual, limit: float) -> list[Share]:
     """Return the share of the occupied hours whose DGP exceeds a limit, for each direction.
 
-    limit: of DGP. Its interval includes the camera's scale, which the intervals of single hours
-    leave out.
+    limit: of DGP. The interval of a share includes the uncertainty of the camera's scale, which the
+    intervals of single hours do not.
     """
-    used, count = annual.occupied, max(annual.summary.occupancy.hours, 1)
+    count = max(annual.summary.occupancy.hours, 1)  # dark hours too, which have no glare
     names = ("dgp", "dgp_low", "dgp_high", "ev_lx")
-    dgp, low, high, ev_lx = (annual.views[name][used] for name in names)
+    dgp, low, high, ev_lx = (annual.views[name][annual.occupied] for name in names)  # [n, d]
     low, high = np.where(np.isnan(low), dgp, low), np.where(np.isnan(high), dgp, high)
     of_scale = 1.96 * annual.summary.u_scale_rel * dgp_per_scale(dgp, ev_lx)
     low, high = dgp - np.hypot(dgp - low, of_scale), dgp + np.hypot(high - dgp, of_scale)
@@ -133,14 +133,15 @@ def _hours_over(annual: Annual, limit: float) -> list[Share]:
 def disturbed(annual: Annual) -> list[str]:
     """Return for each direction whether it is disturbed as sDG counts it: yes, no, cannot tell.
 
-    A direction that was not seen has "–".
+    It is if DGP exceeds 0.38 in over 5 % of the occupied hours. The text is "–" for a direction
+    that was not seen.
     """
     shares = zip(_hours_over(annual, SDG_DGP), annual.judged, strict=True)
-    return [share.above(100 * EXCEEDED_SHARE) if good else "–" for share, good in shares]
+    return [share.above(100 * EXCEEDED_SHARE) if seen else "–" for share, seen in shares]
 
 
 def directions_section(annual: Annual) -> Section:
-    """Return the section with the class of each view direction."""
+    """Return the section with a table of view directions: class, DGP, and hours above limits."""
     rows, summary = [], annual.summary.protection
     for row, over, sdg in zip(summary, _hours_over(annual, GA_DGP), disturbed(annual), strict=True):
         unknown = "cannot tell yet" if row.low is not None else "no uncertainty known"
@@ -164,15 +165,16 @@ def directions_section(annual: Annual) -> Section:
 
 
 def when_section(annual: Annual, zone: str) -> Section:
-    """Return the section with the heat map: days by hours of standard time of the zone `zone`.
+    """Return the section with the heat map of the year: days by hours, for each direction.
 
-    Its layers are DGP, vertical illuminance and hours that are not trusted, for each direction.
+    Its layers are DGP, vertical illuminance and hours that are not trusted. zone: IANA name, for
+    local standard time.
     """
-    local = [standard_time(t, zone) for t in annual.t_utc]
+    local = [sun.standard_time(t, zone) for t in annual.t_utc]
     hour = np.array([t.hour for t in local])
-    doubt = np.where(annual.judged, (annual.hours["trusted"] <= 0.0)[:, None], np.nan)
+    not_trusted = np.where(annual.judged, (annual.hours["trusted"] <= 0.0)[:, None], np.nan)
     layers = [(page.DGP, annual.views["dgp"]), (page.EV, annual.views["ev_lx"])]
-    layers.append((page.NOT_TRUSTED, doubt))
+    layers.append((page.NOT_TRUSTED, not_trusted))
     ends = best_and_worst(annual.summary.protection)
     worst_deg = annual.azimuths_deg[0] if ends is None else ends[1].azimuth_deg
     used = hour[annual.occupied]
@@ -182,8 +184,8 @@ def when_section(annual: Annual, zone: str) -> Section:
         layers,
         local[len(local) // 2].year,
         directions=[
-            direction_name(a) if good else f"{direction_name(a)}: not seen"
-            for a, good in zip(annual.azimuths_deg, annual.judged, strict=True)
+            direction_name(azimuth) if seen else f"{direction_name(azimuth)}: not seen"
+            for azimuth, seen in zip(annual.azimuths_deg, annual.judged, strict=True)
         ],
         start=int(np.argmin(np.abs(annual.azimuths_deg - worst_deg))),
         used=(int(used.min()), int(used.max()) + 1) if len(used) else (),
@@ -202,19 +204,22 @@ def when_section(annual: Annual, zone: str) -> Section:
 
 
 def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
-    """Return the section with predicted pictures of typical and worst hours; zone: IANA name."""
+    """Return the section with predicted pictures of typical hours and of those with most glare.
+
+    pictures: stored with the year; zone: IANA name, for local time.
+    """
+    names = {"typical": "Typical hour", "p95": "95th percentile"}
     turned, titles, rows = [], [], []
     for k, kind in enumerate(pictures.kinds):
         if " view " not in kind:  # earlier versions have a clear day too
             continue
-        share, _, which, _, facing = kind.split()  # p95 of worst view 180
-        names, azimuth = {"typical": "Typical hour", "p95": "95th percentile"}, float(facing)
-        light = pictures.luminance_cdm2[k]
-        columns = round((pictures.heading_deg - azimuth) / 360.0 * light.shape[1])
-        turned.append(np.roll(light, columns, axis=1))
+        share, _, which, _, azimuth = kind.split()  # such as "p95 of worst view 180"
+        azimuth_deg, light = float(azimuth), pictures.luminance_cdm2[k]
+        columns = round((pictures.heading_deg - azimuth_deg) / 360.0 * light.shape[1])
+        turned.append(np.roll(light, columns, axis=1))  # the view direction in the middle
         when = annual.t_utc[pictures.rows[k]].astimezone(ZoneInfo(zone)).strftime("%d %b %H:%M")
         share = names.get(share, "Highest glare")
-        titles.append(f"{share}, {which} direction {direction_name(azimuth)}, {when}")
+        titles.append(f"{share}, {which} direction {direction_name(azimuth_deg)}, {when}")
         if kind.startswith("highest of worst"):
             rows.append((_fisheyes(annual, pictures, k, when),))
     if turned:
@@ -226,42 +231,47 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
 
 
 def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
-    """Return fisheyes around the room in one hour, with the sun's disc.
+    """Return a figure of fisheyes around the room in one hour, with the sun's disc.
 
     k: index of the hour in `pictures`; when: its time, as a text. At most ten directions are shown.
     """
     row, disc_lx, hours = int(pictures.rows[k]), float(pictures.disc_lx[k]), annual.hours
-    altitude = float(apparent_altitude_deg(hours["sun_altitude_deg"][row]))
-    sun = SunSource(altitude, float(hours["sun_azimuth_deg"][row]), disc_lx)
+    altitude_deg = float(sun.apparent_altitude_deg(hours["sun_altitude_deg"][row]))
+    disc = SunSource(altitude_deg, float(hours["sun_azimuth_deg"][row]), disc_lx)
     views, titles = [], []
-    outside = np.hypot(*picture_centres(_FISHEYE_PX, _FISHEYE_PX)) > 0.5
+    is_outside = np.hypot(*picture_centres(_FISHEYE_PX, _FISHEYE_PX)) > 0.5
     for i in np.flatnonzero(annual.judged)[:10]:
-        azimuth = float(annual.azimuths_deg[i])
-        light, heading = pictures.luminance_cdm2[k], pictures.heading_deg
-        shown = panorama_to_fisheye(light, heading, azimuth, size=_FISHEYE_PX, sun=sun)
-        views.append(np.where(outside, np.nan, shown))
-        titles.append(f"{direction_name(azimuth)}  DGP {annual.views['dgp'][row, i]:.2f}")
+        azimuth_deg = float(annual.azimuths_deg[i])
+        turn_deg = (pictures.heading_deg, azimuth_deg)  # from the map's heading to the view
+        light = pictures.luminance_cdm2[k]
+        shown = panorama_to_fisheye(light, *turn_deg, size=_FISHEYE_PX, sun=disc)
+        views.append(np.where(is_outside, np.nan, shown))
+        titles.append(f"{direction_name(azimuth_deg)}  DGP {annual.views['dgp'][row, i]:.2f}")
     what = f"View directions around the room in the hour of the highest DGP, {when} (predicted)."
     return Figure(page.png(page.picture_grid(views, titles, 5, 2.3)[0]), what)
 
 
 def budget_section(annual: Annual, *, folded: bool = True) -> Section:
-    """Return the section of budget.csv, a table for each figure; folded: shown after a click.
+    """Return the section with the uncertainty budget of the year, a table for each figure.
 
-    A part under a hundredth of the combined uncertainty is a dash.
+    A row is a view direction, a column a source of uncertainty. A source that adds under a
+    hundredth of the combined uncertainty is a dash. folded: whether the tables are shown only after
+    a click.
     """
     tables, budget = [], read_budgets(annual.folder / BUDGET_FILE)
     for figure, unit in dict.fromkeys((row["figure"], row["unit"]) for row in budget):
         shown = [row for row in budget if row["figure"] == figure and row["contribution"]]
+        # shares are of the variance: 0.01 % is a hundredth of the uncertainty
         shown = [row for row in shown if float(row["share_percent"] or 0) > 0.01]
-        names, views = dict.fromkeys(["combined", *(row["source"] for row in shown)]), {}
+        names = dict.fromkeys(["combined", *(row["source"] for row in shown)])
+        views: dict[tuple[str, str], dict[str, str]] = {}  # texts of the sources
         for row in shown:
             direction = (row["azimuth_deg"], row["estimate"])
-            view = views.setdefault(direction, dict.fromkeys(names, "–"))
-            view[row["source"]] = f"{float(row['contribution']):.2g}"
+            of_sources = views.setdefault(direction, dict.fromkeys(names, "–"))
+            of_sources[row["source"]] = f"{float(row['contribution']):.2g}"
         rows = [
-            (direction_name(float(azimuth)), f"{float(estimate):.3g}", *view.values())
-            for (azimuth, estimate), view in views.items()
+            (direction_name(float(azimuth)), f"{float(estimate):.3g}", *of_sources.values())
+            for (azimuth, estimate), of_sources in views.items()
         ]
         title = f"{figure}{'' if unit == '1' else f' [{unit}]'}"
         tables.append(Table(("facing", "estimate", *names), rows, title, folded=folded))
@@ -280,45 +290,51 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
 
 
 def has_melanopic(annual: Annual) -> bool:
-    """Return whether melanopic EDI of the year is by measured colour."""
+    """Return whether the year has melanopic EDI by the measured colour of the captures."""
     return bool(np.isfinite(annual.views["melanopic_edi_lx"]).any())
 
 
 def melanopic_shares(annual: Annual, zone: str) -> list[tuple[Share, list[Share]]]:
-    """Return shares of the year with enough melanopic light, for each direction.
+    """Return the shares of the year with enough melanopic light, for each direction.
 
-    The first is `ENOUGH_HOURS`, the others are `ENOUGH_DAYS` of `YearHours.shares`; zone : IANA
-    name of local standard time. The intervals are those of budget.csv; for a year without it the
-    errors of all hours count as equal. Without measured colour they are estimates, without
-    intervals.
+    The first share is of hours (`ENOUGH_HOURS` of `YearHours.shares`), those in the list are of
+    days (`ENOUGH_DAYS`). zone: IANA name, for local standard time. The intervals are those of
+    budget.csv; for a year without it the errors of all hours count as equal. Without measured
+    colour the shares are estimates, without intervals.
     """
     hours = melanopic.YearHours.of(annual.t_utc, zone, annual.summary.days)
-    edi, u = annual.views["melanopic_edi_lx"], annual.views["u_melanopic_edi_lx"]
+    edi_lx, u_lx = annual.views["melanopic_edi_lx"], annual.views["u_melanopic_edi_lx"]  # [n, d]
     if not has_melanopic(annual):
-        edi, u = annual.views["melanopic_edi_lx_estimate"], np.zeros(1)
-    best, *ends = (hours.shares(edi + sign * 1.96 * u) for sign in (0, -1, 1))  # ends: of 95 %
+        edi_lx, u_lx = annual.views["melanopic_edi_lx_estimate"], np.zeros(1)
+    # shares [d] by name, and the ends of their 95 % intervals
+    best, low, high = (hours.shares(edi_lx + sign * 1.96 * u_lx) for sign in (0, -1, 1))
     for row in read_budgets(annual.folder / BUDGET_FILE):
         if (name := row["figure"]) in best and row["source"] == "combined" and row["contribution"]:
             k = int(np.argmin(np.abs(annual.azimuths_deg - float(row["azimuth_deg"]))))
-            for sign, end in zip((-1, 1), ends, strict=True):
-                u_share = sign * 1.96 * float(row["contribution"])
-                end[name][k] = np.clip(best[name][k] + u_share, 0.0, 100.0)
+            half_width = 1.96 * float(row["contribution"])
+            low[name][k] = np.clip(best[name][k] - half_width, 0.0, 100.0)
+            high[name][k] = np.clip(best[name][k] + half_width, 0.0, 100.0)
 
     def share(name: str, k: int) -> Share:
-        value, low, high = (float(part[name][k]) for part in (best, *ends))
-        return Share(value, low=low, high=high)
+        """Return the share `name` of direction k."""
+        return Share(float(best[name][k]), float(low[name][k]), float(high[name][k]))
 
-    hours, days, places = melanopic.ENOUGH_HOURS, melanopic.ENOUGH_DAYS, range(edi.shape[1])
-    return [(share(hours, k), [share(name, k) for name in days]) for k in places]
+    return [
+        (share(melanopic.ENOUGH_HOURS, k), [share(name, k) for name in melanopic.ENOUGH_DAYS])
+        for k in range(edi_lx.shape[1])
+    ]
 
 
 def melanopic_section(annual: Annual, zone: str) -> Section:
-    """Return the section with the shares of hours and days by view direction; zone: IANA name."""
+    """Return the section with the shares of hours and days with enough melanopic light.
+
+    zone: IANA name, for local standard time.
+    """
     shares = zip(annual.azimuths_deg, annual.judged, melanopic_shares(annual, zone), strict=True)
     rows = [
         (direction_name(azimuth), hours.text(), *(share.text() for share in days))
-        for azimuth, good, (hours, days) in shares
-        if good
+        for azimuth, seen, (hours, days) in shares
+        if seen
     ]
     limits = (f"days ≥ {limit:.0f} lx, 9 to 13 h" for limit in melanopic.WELL_EDI_LX)
     head = ("view direction", "hours ≥ 250 lx, 6 to 19 h", *limits)
@@ -330,9 +346,11 @@ def melanopic_section(annual: Annual, zone: str) -> Section:
         "electrochromic glass it is 11 to 17 % too high. Calibrate the camera's colour (fieldlum "
         "calibrate colour), then merge and predict again."
     )
-    lit = annual.summary.inputs.get("lamps")
-    light = "Lamps as stated" if lit else "Intervals allow for lamps (predict --lamps states them)"
-    if lit == "off" or not has_melanopic(annual):
+    lamps = annual.summary.inputs.get("lamps")
+    light = (
+        "Lamps as stated" if lamps else "Intervals allow for lamps (predict --lamps states them)"
+    )
+    if lamps == "off" or not has_melanopic(annual):
         light = "Daylight alone"
     text = (
         f"{origin} {light}; at the camera's place and height; hours of local standard time. "
@@ -345,6 +363,7 @@ def melanopic_section(annual: Annual, zone: str) -> Section:
 # ----------------------------------------------------------------------------------------------
 # accuracy
 
+# Names of the held-out maps that are shown, by their error.
 SHOWN = ("typical", "one in ten is worse", "worst")
 
 
@@ -353,8 +372,9 @@ def accuracy_section(
 ) -> Section:
     """Return the section on accuracy, from held-out maps and the scores of `train`.
 
-    Without maps or scores their parts are left out, and the text states it. names: the slot's id in
-    the session by its id in `held`, which is from the middle of its bracket.
+    held: maps of the model, None without; scores: of the model, None without; their parts are then
+    omitted. names: the slot's name in the session by its name in `held`, which is the middle of its
+    bracket.
     """
     judged = None if scores is None else scores.judged_row
     text = "The numbers of this report are not checked: training had no held-out day."
@@ -365,22 +385,22 @@ def accuracy_section(
             f"Checked on {maps}, each predicted by a fit without its day: half of them are within "
             f"a factor of {median:.2f} (rms over the map), the worst within {worst:.2f}."
         )
-
     tables = [] if scores is None or not scores.models else [_score_table(scores)]
     rows = [] if held is None else [(_held_out_figure(held, names or {}),)]
     return Section("evidence", "How good the numbers are", text, rows, tables)
 
 
 def _held_out_figure(held: HeldOutMaps, names: Mapping[str, str]) -> Figure:
-    """Return the held-out maps with the median, 90 % and largest error, next to their predictions.
+    """Return a figure of the held-out maps with the median, 90 % and largest error.
 
-    names: what a slot's picture is called, by slot; fewer than three maps are shown once each.
+    Each is next to its prediction. names: of a slot in the session, by slot in `held`. Fewer than
+    three maps are shown once each.
     """
     order, count = np.argsort(held.log10_mse), len(held)
     ranks = (count // 2, min(int(0.9 * count), count - 1), count - 1)  # by error, as `SHOWN`
     picks = list(dict.fromkeys(int(order[rank]) for rank in ranks))
     slots = [names.get(str(held.slots[i]), str(held.slots[i])) for i in picks]
-    labels = [f"{slot}, {text}" for slot, text in zip(slots, SHOWN, strict=False)]
+    labels = [f"{slot}, {name}" for slot, name in zip(slots, SHOWN, strict=False)]
     measured = 10.0 ** held.measured_log10[picks].astype(np.float32)
     predicted = 10.0 ** held.predicted_log10[picks].astype(np.float32)
     what = (
@@ -391,13 +411,14 @@ def _held_out_figure(held: HeldOutMaps, names: Mapping[str, str]) -> Figure:
     return Figure(page.comparison_png(measured, predicted, labels, "predicted"), what)
 
 
+# Headings of the score table, by the key of a score.
 _COLUMNS = {"name": "model", "fit_s": "fit, s", "judged_dgp_error": "DGP error"}
 _COLUMNS |= {"judged_ev_error": "ln Ev error", "judged_log10_mse": "log10 MSE"}
 _COLUMNS |= {"dgp_mae": "DGP error, all hours"}
 
 
 def _score_table(scores: ScoresFile) -> Table:
-    """Return the scores of the models that were tried; the chosen one is marked."""
+    """Return the table of the models that were tried; the chosen one is marked."""
     rows = []
     for row in scores.models:
         name, *figures = (row.get(key) for key in _COLUMNS)
@@ -414,16 +435,16 @@ def _score_table(scores: ScoresFile) -> Table:
 def captures_section(
     session: Session, site: Site, pairs: PairsFile, year: Mapping[str, Floats]
 ) -> Section:
-    """Return the section on suns, skies, quality and refusals of the captures.
+    """Return the section on the captures: their suns, skies and irradiance, and refused brackets.
 
-    year: irradiance [W/m2] of the predicted year's hours, by column; empty without a year.
+    year: columns of hourly.csv with the irradiance [W/m2] of the predicted year; empty without one.
     """
     used = pairs.usable
     start = datetime(used[0].t_utc.year if used else 2027, 1, 1, 0, 30, tzinfo=UTC)
     hours = sun.position([start + timedelta(hours=h) for h in range(8760)], site)
-    up = hours.altitude_deg > 0
+    is_day = hours.altitude_deg > 0
     suns, skies = ("sun_azimuth_deg", "sun_altitude_deg"), ("dni_wm2", "dhi_wm2")
-    positions = (hours.azimuth_deg[up], hours.altitude_deg[up])
+    positions = (hours.azimuth_deg[is_day], hours.altitude_deg[is_day])
     labels = ("hours of the year", "sun azimuth, ° from north", "sun altitude, °")
     svg = page.captured_svg(positions, _columns(used, suns), *labels)
     what = "Sun positions of a year (grey) and of the captures (red)."
@@ -439,11 +460,12 @@ def captures_section(
 
 
 def _columns(rows: Sequence[PairRow], names: Sequence[str]) -> list[Floats]:
+    """Return columns of pairs.csv by name, [n] each."""
     return [np.array([getattr(row, name) for row in rows], float) for name in names]
 
 
 def _captures_text(session: Session, site: Site, pairs: PairsFile) -> str:
-    """Return how many brackets are usable, and how their irradiance and suns are known."""
+    """Return sentences on the usable brackets: number, days, origin of irradiance and sun."""
     used = pairs.usable
     days = sorted({sun.standard_date(row.t_utc, site.timezone).isoformat() for row in used})
     planned = len(session.slots()) if session.plan.is_file() else len(used)
@@ -462,9 +484,10 @@ def _captures_text(session: Session, site: Site, pairs: PairsFile) -> str:
 
 
 def warnings_of(session: Session, year: Annual | None) -> list[str]:
-    """Return warnings of assumed settings, of the camera, of training, weather and an earlier year.
+    """Return the warnings of the page, one sentence each.
 
-    Each is a sentence. year: None without a predicted year; the last three are then missing.
+    They are about assumed settings and the camera; with a predicted year also about training,
+    weather, and whether the year is of the present captures. year: None without one.
     """
     camera = session.site_file().camera
     texts = profiles.assumed_texts(camera)

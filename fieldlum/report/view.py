@@ -1,7 +1,5 @@
 """Show luminance pictures: regions, a false-colour PNG, and an offline page of `fieldlum view`."""
 
-from __future__ import annotations
-
 import base64
 import html
 import json
@@ -22,85 +20,21 @@ from fieldlum.year.glare.picture_glare import glare_answer
 from fieldlum.year.glare.pictures import Picture, picture_directions, read_picture
 from fieldlum.year.glare.sources import Sources
 
-_COUNTS = {"rect": 4, "circle": 3, "cone": 3}
+_NUMBERS_OF_KIND = {"rect": 4, "circle": 3, "cone": 3}
 FORMS = "rect:x,y,w,h, circle:x,y,r or cone:AZ,ALT,RADIUS"
 _FIGURES = ("mean_cdm2", "median_cdm2", "min_cdm2", "max_cdm2", "sd_cdm2")
 COLUMNS = ("file", "region", "pixels", "solid_angle_sr", *_FIGURES)
 
 
-class Region(NamedTuple):
-    """A region of a picture; `text` is as the user wrote it.
-
-    values by kind, in pixels from the top left corner: rect left, top, width, height; circle x, y,
-    radius; in deg: cone azimuth (clockwise from true north), altitude, radius (half its width).
-    """
-
-    kind: str
-    values: tuple[float, ...]
-    text: str
-
-
-def parse_region(text: str) -> Region:
-    """Parse ``rect:x,y,w,h``, ``circle:x,y,r`` (pixels) or ``cone:AZ,ALT,RADIUS`` (degrees).
-
-    Raises ValueError for any other text, and for a radius, width or height that is not above 0.
-    """
-    kind, _, rest = text.partition(":")
-    try:
-        values = tuple(float(part) for part in rest.split(","))
-    except ValueError:
-        values = ()
-    if not np.isfinite(values).all() or len(values) != _COUNTS.get(kind):
-        raise ValueError(f"{text!r}: write {FORMS}")
-    if any(size <= 0 for size in values[2:]):
-        raise ValueError(f"{text!r}: its size must be above 0")
-    return Region(kind, values, text)
-
-
-def region_mask(region: Region, picture: MeasuredPicture) -> Mask:
-    """Return a mask [H, W]: True for pixels whose centres are in the region."""
-    height, width = picture.luminance_cdm2.shape
-    y, x = (np.arange(height) + 0.5)[:, None], (np.arange(width) + 0.5)[None, :]
-    if region.kind == "rect":
-        left, top, w, h = region.values
-        return (x >= left) & (x < left + w) & (y >= top) & (y < top + h)
-    if region.kind == "circle":
-        cx, cy, radius = region.values
-        return np.hypot(x - cx, y - cy) <= radius
-    azimuth, altitude, radius = region.values
-    cosine = picture_directions(picture.picture)[0] @ direction(altitude, azimuth)
-    return (cosine >= np.cos(np.radians(radius))) & (picture.solid_angle_sr > 0)
-
-
-def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, float | str | None]:
-    """Return a region's row: a value for each of `COLUMNS`; pixels: number of pixels that count.
-
-    Mean and standard deviation are weighted by solid angle, the median by pixels. Pixels that no
-    lens saw do not count. Without a pixel the other figures are None.
-    """
-    mask = region_mask(region, picture) & np.isfinite(picture.luminance_cdm2)
-    mask &= picture.solid_angle_sr > 0
-    values = picture.luminance_cdm2[mask].astype(float)
-    weights = picture.solid_angle_sr[mask].astype(float)
-    row: dict[str, float | str | None] = dict.fromkeys(COLUMNS)
-    row |= {"file": picture.name, "region": region.text, "pixels": len(values)}
-    if len(values) == 0:
-        return row
-    mean = np.average(values, weights=weights)
-    sd = np.sqrt(np.average((values - mean) ** 2, weights=weights))
-    figures = (weights.sum(), mean, np.median(values), values.min(), values.max(), sd)
-    return row | dict(zip(COLUMNS[3:], map(float, figures), strict=True))
-
-
 @dataclass(frozen=True, slots=True)
 class MeasuredPicture:
-    """A picture with its figures.
+    """A luminance picture with its figures of glare.
 
-    picture : its pixels and view. luminance_cdm2 : [H, W], NaN where no lens saw. solid_angle_sr :
-    [H, W] of complete pixels, 0 where the view has no direction. figures : Ev, melanopic EDI and
-    DGP in the view direction, as text. outlines : pixels (x, y) from the top left, around the
-    strongest glare sources of a fisheye; none for a panorama. notes : warnings of the glare
-    figures.
+    name: of its file. picture: its pixels and view. luminance_cdm2: [H, W], NaN where no lens saw.
+    solid_angle_sr: [H, W] of complete pixels, 0 where the view has no direction. figures: Ev,
+    melanopic EDI and DGP in the view direction, as text. outlines: polygons of pixels (x, y) from
+    the top left, around the strongest glare sources of a fisheye; none for a panorama. notes:
+    warnings of the glare figures.
     """
 
     name: str
@@ -117,39 +51,113 @@ class MeasuredPicture:
         return np.where(self.solid_angle_sr > 0, self.luminance_cdm2, np.float32(np.nan))
 
 
-def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
-    """Read a picture and judge its glare. Raises InputError for an unusable file.
+class Region(NamedTuple):
+    """A region of a picture.
 
-    part : name of the part, layer or stereo view of an .exr; "" for the only one.
+    kind: "rect", "circle" or "cone"; text: the region as the user wrote it. values: of a rect left,
+    top, width and height, of a circle x, y and radius, all in pixels from the top left corner; of a
+    cone azimuth (clockwise from true north), altitude and radius (half its width), in degrees.
+    """
+
+    kind: str
+    values: tuple[float, ...]
+    text: str
+
+
+def parse_region(text: str) -> Region:
+    """Return the region that a text describes: one of `FORMS`, in pixels or in degrees.
+
+    Raises ValueError for any other text, and for a radius, width or height that is not above 0.
+    """
+    kind, _, rest = text.partition(":")
+    try:
+        values = tuple(float(part) for part in rest.split(","))
+    except ValueError:
+        values = ()
+    if not np.isfinite(values).all() or len(values) != _NUMBERS_OF_KIND.get(kind):
+        raise ValueError(f"{text!r}: write {FORMS}")
+    if any(size <= 0 for size in values[2:]):  # after the two values of the place
+        raise ValueError(f"{text!r}: its size must be above 0")
+    return Region(kind, values, text)
+
+
+def region_mask(region: Region, picture: MeasuredPicture) -> Mask:
+    """Return a mask [H, W]: True for pixels whose centres are in the region."""
+    height, width = picture.luminance_cdm2.shape
+    y, x = (np.arange(height) + 0.5)[:, None], (np.arange(width) + 0.5)[None, :]
+    if region.kind == "rect":
+        left, top, rect_width, rect_height = region.values
+        return (x >= left) & (x < left + rect_width) & (y >= top) & (y < top + rect_height)
+    if region.kind == "circle":
+        centre_x, centre_y, radius = region.values
+        return np.hypot(x - centre_x, y - centre_y) <= radius
+    azimuth_deg, altitude_deg, radius_deg = region.values
+    cosine = picture_directions(picture.picture)[0] @ direction(altitude_deg, azimuth_deg)
+    return (cosine >= np.cos(np.radians(radius_deg))) & (picture.solid_angle_sr > 0)
+
+
+def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, float | str | None]:
+    """Return the statistics of a region in a picture: a value for each of `COLUMNS`.
+
+    Mean and standard deviation are weighted by solid angle, the median by pixels [cd/m2]. Pixels
+    that no lens saw do not count. For a region without pixels the figures are None.
+    """
+    mask = region_mask(region, picture) & np.isfinite(picture.luminance_cdm2)
+    mask &= picture.solid_angle_sr > 0
+    values = picture.luminance_cdm2[mask].astype(float)
+    weights = picture.solid_angle_sr[mask].astype(float)
+    row: dict[str, float | str | None] = dict.fromkeys(COLUMNS)
+    row |= {"file": picture.name, "region": region.text, "pixels": len(values)}
+    if len(values) == 0:
+        return row
+    mean = np.average(values, weights=weights)
+    sd = np.sqrt(np.average((values - mean) ** 2, weights=weights))
+    # in the order of the columns from solid_angle_sr
+    figures = (weights.sum(), mean, np.median(values), values.min(), values.max(), sd)
+    return row | dict(zip(COLUMNS[3:], map(float, figures), strict=True))
+
+
+def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
+    """Read a picture and compute its glare, in the middle of a panorama or in a fisheye's view.
+
+    part: name of the part, layer or stereo view of an .exr; "" for the only one. Raises InputError
+    for an unusable file.
     """
     picture = read_picture(path, part=part)
     luminance = picture.panorama.seen_cdm2
     azimuths_deg = (picture.panorama.heading_deg,) if picture.view is None else ()
     answer, sources = glare_answer(picture, path, azimuths_deg)
-    row, texts = answer["views"][0], []
-    if row["ev_lx"] is not None:
-        texts.append(f"Ev {row['ev_lx']:.0f} lx")
-        if (u := row["u_melanopic_edi_lx"]) is not None:
-            texts.append(f"m-EDI {row['melanopic_edi_lx']:.0f} ± {u:.0f} lx")
-        texts.append(f"DGP {row['dgp']:.3f}")
+    view, texts = answer["views"][0], []
+    if view["ev_lx"] is not None:
+        texts.append(f"Ev {view['ev_lx']:.0f} lx")
+        if (u := view["u_melanopic_edi_lx"]) is not None:
+            texts.append(f"m-EDI {view['melanopic_edi_lx']:.0f} ± {u:.0f} lx")
+        texts.append(f"DGP {view['dgp']:.3f}")
         texts += [f"facing {azimuth % 360.0:.0f}°" for azimuth in azimuths_deg]
-    outlines = [] if picture.view is None else _outlines(sources, luminance.shape)
-    omega_sr, figures = picture_directions(picture)[1].astype(np.float32), "; ".join(texts)
-    about = (figures, outlines, answer["warnings"])
-    return MeasuredPicture(path.name, picture, luminance, omega_sr, *about)
+    return MeasuredPicture(
+        path.name,
+        picture,
+        luminance_cdm2=luminance,
+        solid_angle_sr=picture_directions(picture)[1].astype(np.float32),
+        figures="; ".join(texts),
+        outlines=[] if picture.view is None else _outlines(sources, luminance.shape),
+        notes=answer["warnings"],
+    )
 
 
 def _outlines(sources: Sources, shape: tuple[int, ...]) -> list[Any]:
-    """Return polygons around the 12 strongest sources of a single view."""
+    """Return polygons of pixels (x, y) around the 12 strongest glare sources of a single view.
+
+    shape: of the picture, (H, W).
+    """
     import cv2
 
-    mask = np.zeros(shape, np.uint8)
     outlines: list[Any] = []
     for number in np.argsort(sources.contrast[:, 0])[::-1][:12]:
+        mask = np.zeros(shape, np.uint8)
         mask.flat[sources.pixels[number]] = 1
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         outlines += [cv2.approxPolyDP(c, 1.0, True).reshape(-1, 2).tolist() for c in contours]
-        mask[:] = 0
     return outlines
 
 
@@ -158,7 +166,7 @@ def _outlines(sources: Sources, shape: tuple[int, ...]) -> list[Any]:
 
 
 def write_png(path: Path, pictures: Sequence[MeasuredPicture], regions: Sequence[Region]) -> None:
-    """Draw the pictures next to each other on one scale, with the regions; write a PNG."""
+    """Write a PNG of the pictures next to each other, on one scale and with the regions."""
     from fieldlum.report.page import picture_grid, png
 
     maps = [picture.shown_cdm2 for picture in pictures]
@@ -171,7 +179,10 @@ def write_png(path: Path, pictures: Sequence[MeasuredPicture], regions: Sequence
 
 
 def _draw_marks(axis, picture: MeasuredPicture, regions: Sequence[Region]) -> None:
-    """Draw the picture's outlines, and the regions with their numbers from 1, on an axes."""
+    """Draw the outlines of glare sources and the regions over a picture.
+
+    axis: matplotlib's axes with the picture. The regions have numbers from 1.
+    """
     for outline in picture.outlines:
         x, y = np.array([*outline, outline[0]]).T + 0.5
         axis.plot(x, y, color="cyan", linewidth=0.8)
@@ -188,7 +199,7 @@ def _draw_marks(axis, picture: MeasuredPicture, regions: Sequence[Region]) -> No
 # Code q of 1 to 65535 is 10^((q - 1) / 65534 * 14 - 4) cd/m2: steps of 0.05 %, up to 1e10.
 # 0: no light, or no lens saw the pixel.
 LOG_LOW, LOG_SPAN, CODES = -4.0, 14.0, 65534
-_U_STEP = 4  # u is at a quarter of the size: bounds the page; chosen
+_U_STEP = 4  # the page has the uncertainty of each fourth pixel, which limits its size; chosen
 
 
 def encode_luminance(luminance_cdm2: Floats32) -> str:
@@ -201,14 +212,17 @@ def encode_luminance(luminance_cdm2: Floats32) -> str:
     logs = np.log10(np.maximum(positive, 10.0**LOG_LOW), dtype=np.float32)
     codes = np.clip(np.rint((logs - LOG_LOW) / LOG_SPAN * CODES) + 1, 1, CODES + 1)
     codes = np.where(positive > 0, codes, 0).astype(np.uint16)
-    steps = codes.copy()
-    steps[:, 1:] -= codes[:, :-1]  # modulo 65536
-    planes = (steps >> 8).astype(np.uint8).tobytes() + (steps & 255).astype(np.uint8).tobytes()
-    return base64.b64encode(zlib.compress(planes, 6)).decode("ascii")
+    steps = np.diff(codes, axis=1, prepend=np.uint16(0))  # modulo 65536
+    high_bytes, low_bytes = (steps >> 8).astype(np.uint8), (steps & 255).astype(np.uint8)
+    stored = zlib.compress(high_bytes.tobytes() + low_bytes.tobytes(), 6)
+    return base64.b64encode(stored).decode("ascii")
 
 
 def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[JsonTable]) -> None:
-    """Write one self-contained page: pictures, their figures, and the rows of the regions."""
+    """Write one self-contained page: pictures, their figures, and statistics of regions.
+
+    rows: results of `region_statistics`.
+    """
     low, high = shared_scale(luminance_ends(picture.shown_cdm2) for picture in pictures)
     about = {
         "pictures": [_about(picture) for picture in pictures],
@@ -234,7 +248,10 @@ def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[J
 
 
 def _about(picture: MeasuredPicture) -> JsonTable:
-    """Return what the page states about a picture; of its view's vectors only `frame`."""
+    """Return what the page's script reads about a picture; keys as in view.html.
+
+    The view has its axes as `frame`, not as separate vectors.
+    """
     height, width = picture.luminance_cdm2.shape
     view = picture.picture.view
     arrays = {} if view is None else {"frame": view.frame.tolist(), "forward": None, "up": None}
