@@ -107,6 +107,7 @@ def serialised(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, An
     """
 
     def name_of(array: Array) -> str:
+        """Add an array to `arrays` and return its name there."""
         name = f"{prefix}{len(arrays)}"
         arrays[name] = array
         return name
@@ -239,8 +240,7 @@ def load(folder: Path) -> Fitted:
 
 def is_usable(folder: Path) -> bool:
     """Return whether `load` can read a folder's model, which another version may have written."""
-    try:
+    with suppress(InputError):
         load(folder)
-    except InputError:
-        return False
-    return True
+        return True
+    return False

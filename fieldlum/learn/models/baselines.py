@@ -36,7 +36,7 @@ class Domain:
 
 
 def domain_of(light: Light) -> Domain:
-    """Return the domain of the captures whose light is `light`, without its overcast hours."""
+    """Return the `Domain` of captures with the light `light`: the suns of its sunny hours."""
     return Domain(light.sun_direction[light.dni_wm2 >= 60.0])
 
 

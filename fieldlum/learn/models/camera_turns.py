@@ -117,9 +117,8 @@ def _interpolated(maps: Array, places: Array) -> Array:
 
     Interpolation is linear, and continues from the last column to the first.
     """
-    return map_coordinates(
-        wrapped(maps), places + np.array((0.0, 1.0))[:, None, None], order=1, mode="nearest"
-    )
+    in_wrapped = places + np.array((0.0, 1.0))[:, None, None]  # one column more on the left
+    return map_coordinates(wrapped(maps), in_wrapped, order=1, mode="nearest")
 
 
 def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:

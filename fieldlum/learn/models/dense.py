@@ -443,7 +443,7 @@ class Trainer:
         return 3 * len(numbers) / max(time.monotonic() - start_s, 1e-6)
 
     def weights(self) -> dict[str, Tensor]:
-        """Return a copy of the network's weights, by the names of torch's state_dict."""
+        """Return a copy of the network's weights by name, as torch's `state_dict` does."""
         return {name: value.clone() for name, value in self.net.state_dict().items()}
 
 

@@ -138,7 +138,7 @@ def choose(candidates: Sequence[HeldOutErrors]) -> HeldOutChoice:
 
 
 UNSURE = 1e-2  # relative variance of an hour or a pixel that has half weight; not measured
-UNCERTAIN_WEIGHT = 0.25  # of an hour with an uncertain beam where most hours have one; chosen
+UNCERTAIN_WEIGHT = 0.25  # of an hour with an uncertain beam, if over a third have one; chosen
 
 
 def sun_is_unmeasured(light: Light) -> Mask:

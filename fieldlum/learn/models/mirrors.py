@@ -199,10 +199,8 @@ def _best_mirror(rest: Sequence[SunImage], suns: Floats, height: int) -> MirrorP
     places, rows = _places_of(rest)
     across = places - suns[rows]  # [spots, 3], along the normal
     reach = tolerance_rad(height)
-    tried = [
-        _agreeing(across[k] / np.linalg.norm(across[k]), places, rows, suns, 2.0 * reach)
-        for k in range(len(rest))
-    ]
+    normals = across / np.linalg.norm(across, axis=1, keepdims=True)  # one by each spot
+    tried = [_agreeing(normal, places, rows, suns, 2.0 * reach) for normal in normals]
     chosen = max(tried, key=len)
     normal = _normal_of(across[chosen])
     for _ in range(3):

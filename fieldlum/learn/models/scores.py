@@ -10,7 +10,7 @@ levels. By solid angle: weights with a mean of 1; mean, median, 90th percentile 
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -42,7 +42,7 @@ class Scores:
     Errors are predicted minus true values of log10 luminance L. mse_weighted, mse: mean squared
     error of the pixels, by solid angle or equally weighted; truth2_weighted, truth2: the same means
     of the squared true log10 L; dgp_mse, dgp_mae: mean squared and mean absolute error of DGP over
-    the view directions, with the true sun disc in the prediction; dgp_mse_own_disc: the first with
+    the view directions, with the true sun disc in the prediction; dgp_mse_own_disc: dgp_mse with
     the disc by the sky view, as a user gets it; bias_log10: mean error by solid angle; rammg_error:
     predicted minus true RAMMG [cd/m2]; expected_mse: error that the model itself expected; trusted:
     whether the model trusts the hour; in_band: share of pixels whose truth is in the model's 90 %
@@ -70,7 +70,7 @@ class Scores:
     weight: Floats
     seconds: Floats
     cpu_s: Floats
-    slots: tuple[str, ...] = field(default=())
+    slots: tuple[str, ...] = ()
     maps: HeldOutMaps | None = None
 
     def __len__(self) -> int:
@@ -78,7 +78,7 @@ class Scores:
 
     @property
     def errors(self) -> HeldOutErrors:
-        """Errors of each hour by which models are chosen."""
+        """Errors of each hour [n] by which models are chosen: of DGP, Ev and log10 luminance."""
         return HeldOutErrors(
             dgp=self.dgp_mae,
             ev=self.ev_error,
@@ -89,7 +89,7 @@ class Scores:
 
 
 def join(parts: Sequence[Scores]) -> Scores:
-    """Return the scores of several tests as those of one test, with their maps in sequence."""
+    """Return the scores of several tests as those of one test, one part after the other."""
     arrays = [f.name for f in fields(Scores) if f.name not in ("slots", "maps")]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
     slots = tuple(slot for part in parts for slot in part.slots)
@@ -130,9 +130,7 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     the sun discs by the sky view; if False, glare is scored for no map.
     """
     n = len(data)
-    with_glare = np.zeros(n, bool)
-    if glare:
-        with_glare[evenly_spread(n, 150)] = True
+    with_glare = np.isin(np.arange(n), evenly_spread(n, 150)) & glare
     azimuths_deg = view_azimuths_deg(data.heading_deg)
     views = panorama_views(*data.shape, data.heading_deg, azimuths_deg, data.seen)
     by_view = (n, len(views.azimuths_deg))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +72,7 @@ class Dataset:
     seen: Mask
     steadiness: Floats
     source: str = ""
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     counts: NDArray[np.float16] | None = None
     scene: UsedScene | None = None
     sky_view: SkyView | None = None
@@ -197,7 +197,7 @@ def sun_of_rows(path: Path, rows: Sequence[PairRow], site: Site) -> tuple[Floats
 
 _MIN_SUNNY_ROWS = 3  # a median of fewer rows can be chance; chosen
 # Global irradiance over diffuse plus direct, or its inverse, that exchanged columns exceed: three
-# times BSRN's limit of 8 %. A wrong clock has its own error above. Chosen.
+# times BSRN's limit of 8 %. A wrong clock, which changes it too, is reported elsewhere. Chosen.
 _MAX_CLOSURE = 1.25
 
 
@@ -622,8 +622,7 @@ def with_sky_view(data: Dataset, file: Path | None = None) -> Dataset:
         return cut_panorama(Panorama(shown, data.heading_deg))
 
     captured = Captured(light, read, data.disc_lx / np.maximum(light.direct_lx, 1.0))
-    site, discs = data.setup.site, _discs(data)
-    view = sky_view_of(captured, discs, site, data.heading_deg)
+    view = sky_view_of(captured, _discs(data), data.setup.site, data.heading_deg)
     warnings = (note for note in view.notes if note.startswith("WARNING"))
     return replace(data, sky_view=view, notes=(*data.notes, *warnings))
 

@@ -171,7 +171,10 @@ def choose_model(trials: Sequence[Trial]) -> ModelSelection:
 
 
 def is_baseline(trial: Trial) -> bool:
-    """Return whether a trial (named NAME, NAME:PATCH or NAME (folder)) is of mean or nearest."""
+    """Return whether a trial is of a baseline, the model mean or nearest.
+
+    The trial's name is that of the model, also with an addition: NAME:PATCH or NAME (folder).
+    """
     return MODELS[trial.name.replace(":", " ").split()[0]].baseline
 
 

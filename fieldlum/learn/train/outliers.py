@@ -63,7 +63,7 @@ class Process:
 
 
 def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> Process:
-    """Return the captures as a process at 200 pixels at most, drawn by solid angle.
+    """Return the captures as a Gaussian process, at 200 pixels at most, drawn by solid angle.
 
     with_patch: use the sun patches of `data`. seen_skies: assume for each capture the sky that its
     windows show, not Perez's.
@@ -218,6 +218,7 @@ def find_lamp(process: Process, rows: Indices) -> Indices:
     evidence = Evidence(process, rows)
 
     def gain(lit: Indices) -> float:
+        """Return the gain in log likelihood, less its price, of a lamp in the captures `lit`."""
         if not len(lit):
             return 0.0
         gained, light = evidence.change(lit, process.lamp)
@@ -251,6 +252,10 @@ def _group_of_other_level(evidence: Evidence) -> Indices:
     parts = [part for part in parts if len(part) >= 3]
 
     def gain(chosen: Indices, darker: bool) -> float:
+        """Return the gain in log likelihood, less its price, of a factor on captures.
+
+        It is -inf for a factor on the wrong side of 1, and for too many captures.
+        """
         if not len(chosen):
             return 0.0
         gained, factor = evidence.level_change(chosen)

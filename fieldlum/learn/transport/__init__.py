@@ -74,9 +74,9 @@ class SurfaceMaps(NamedTuple):
     """Predicted luminance of n hours at the P pixels the lens saw, and inputs of its uncertainty.
 
     luminance: without the sun's disc [n, P] cd/m2; patch: the part of `luminance` that is direct
-    sun on surfaces [n, P] cd/m2, None without sun patches; unit: luminance of a surface of usual
-    brightness: total light times the pixel's scale [n, P] cd/m2; features: of the hours; cross:
-    kernel between the hours and the captured hours [n, captures].
+    sun on surfaces, before the second stage [n, P] cd/m2, None without sun patches; unit: luminance
+    of a surface of usual brightness: total light times the pixel's scale [n, P] cd/m2; features: of
+    the hours; cross: kernel between the hours and the captured hours [n, captures].
     """
 
     luminance: Floats32
@@ -470,8 +470,8 @@ def _choose_inputs(candidates: _Candidates) -> _Chosen:
         best, errors = lit, lit_errors
     # Held-out days from one season, 20 degrees of solar declination, do not test other seasons.
     one_season = float(np.ptp(_declination_deg(data.days))) < 20.0
-    uncertain = data.scene is not None or best.arrays.patch is None or one_season
-    noises = NOISES[1:] if uncertain else NOISES
+    omit_smallest = data.scene is not None or best.arrays.patch is None or one_season
+    noises = NOISES[1:] if omit_smallest else NOISES
     tried = [errors if noise == NOISES[1] else candidates.errors(best, noise) for noise in noises]
     k = choose(tried).best
     return _Chosen(candidates, best, noises[k], tried[k])

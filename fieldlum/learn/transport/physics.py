@@ -95,7 +95,10 @@ class Physics:
 
 
 def _at_pixels(maps: Floats32, seen_mask: Mask) -> Floats32:
-    """Interpolate panoramas [n, 2 h^2] at the pixels `seen_mask` [H, W] of a larger one, [n, P]."""
+    """Return small panoramas interpolated at the P seen pixels of larger ones, [n, P].
+
+    maps: of h rows and 2 h columns, flattened [n, 2 h^2]; seen_mask: of the larger ones [H, W].
+    """
     height = round(np.sqrt(maps.shape[1] / 2))
     places = (np.indices(seen_mask.shape) + 0.5) * (height / len(seen_mask)) + [[[-0.5]], [[0.5]]]
     row, column = places.astype(np.float32)  # of a map with a column more on either side

@@ -400,6 +400,7 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     predicted, target = (np.empty(arrays.luminance.shape) for _ in range(2))
 
     def predict_part(part: slice) -> None:
+        """Store predicted and captured light of a chunk of pixels, without the second stage."""
         results = _hold_out_chunk(arrays[part], scale[part], basis, noise)
         predicted[:, part], target[:, part] = results
 
@@ -428,13 +429,13 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
 def _hold_out_chunk(
     arrays: TrainingArrays, scale: Array, basis: Basis, noise: float
 ) -> tuple[Array, Array]:
-    """Return the light predicted from other days, without second stage, and the captured light.
+    """Return each hour's light as predicted from other days, and as captured, at P pixels.
 
-    Both are [n, P], divided by the total light and by `scale`, so about 1. With hat matrix H = X
-    A^-1 X' W of the full fit, residuals e and a day's rows D, the residuals without the day are d =
-    (1 - H_DD)^-1 e_D (block form of the leave-one-out identity), and the fit without the day is the
-    full fit minus A^-1 X_D' W_D d. Features and weights are those of the full fit. arrays, scale,
-    basis, noise: as for `fit_chunk`.
+    The second stage is not part of the prediction. Both are [n, P], divided by the total light and
+    by `scale`, so about 1. With hat matrix H = X A^-1 X' W of the full fit, residuals e and a day's
+    rows D, the residuals without the day are d = (1 - H_DD)^-1 e_D (block form of the leave-one-out
+    identity), and the fit without the day is the full fit minus A^-1 X_D' W_D d. Features and
+    weights are those of the full fit. arrays, scale, basis, noise: as for `fit_chunk`.
     """
     fit = fit_chunk(arrays, scale, basis, noise)
     unit = arrays.light.total_lx[:, None] * scale

@@ -47,13 +47,17 @@ class StateColumns:
 
     @classmethod
     def of(cls, light: Light) -> StateColumns:
-        """Return the states with which any hour of `light` is marked."""
+        """Return columns for all states with which hours of `light` are marked."""
         parts = sorted({part for text in light.states or () for part in parse_state(text)})
         lamps = tuple(part for part in parts if part.startswith(ADDED))
         return cls(False, lamps, tuple(part for part in parts if part not in lamps))
 
     def features(self, light: Light) -> Features:
-        """Return the features of the hours of `light`, with columns for these states."""
+        """Return the features of the n hours of `light`, with columns for these states.
+
+        Columns of lamps [n, l] are 1 000 lx over the total light while the lamp is on, those of
+        other states [n, m] are 1 while the room is in the state, else 0.
+        """
         features, states = light_features(light), light.states or ("",) * len(light)
         if self.always or self.lamps:
             always = np.array([float(OFF not in text) for text in states])[:, None]
