@@ -33,9 +33,9 @@ def with_patches(data: Dataset) -> Dataset:
 def earlier(light: Light, minutes: float, data: Dataset) -> Light:
     """Return the light with times and sun `minutes` earlier (negative: later).
 
-    Irradiance does not change. Recorded sun angles are not computed again, but shifted by the sun's
-    motion in that time, because a rendering has its own formula of the sun. data: the captures,
-    only for their site.
+    Irradiance does not change. Recorded sun angles are shifted by the sun's motion in that time;
+    they are not computed again, because a rendering can have another formula for the sun. data: the
+    captures, only for their site.
     """
     if not minutes:
         return light
@@ -53,11 +53,12 @@ def earlier(light: Light, minutes: float, data: Dataset) -> Light:
 def with_scene(data: Dataset, scene: Scene, *, source: Path | str = SCENE_TOML) -> Dataset:
     """Return the captures with the corrections of a scene.
 
-    With chosen "fitted", heading and room are relative to true north, the sun is at the true times,
-    and sun patches are computed from the fitted room. With "stated", only the patches change: they
-    are computed from the stated room. With "none", the patches are removed. source: the scene's
-    file, for errors. Raises InputError if heading (by over 0.05 degrees) or room of the captures
-    differ from those that the fit started at, and for an impossible room.
+    If the scene's chosen geometry is "fitted", heading and room become relative to true north, the
+    sun is at the true times, and sun patches are computed from the fitted room. If it is "stated",
+    only the patches change: they are computed from the stated room. If it is "none", the patches
+    are removed. source: the scene's file, for errors. Raises InputError if heading (by over 0.05
+    degrees) or room of the captures differ from those that the fit started at, and for an
+    impossible room.
     """
     _check_stated(data, scene, source)
     about: UsedScene = {
@@ -86,7 +87,10 @@ def with_scene(data: Dataset, scene: Scene, *, source: Path | str = SCENE_TOML) 
 
 
 def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:
-    """Raise InputError if the captures state another heading or room than the fit used."""
+    """Raise InputError if heading or room of the captures differ from those the fit started at.
+
+    source: the scene's file, for the error.
+    """
     fit_again, train = "fit the scene again (fieldlum scene fit)", "or train with --scene none"
     turned_deg = abs(float(signed_angle_deg(data.heading_deg - scene.stated_heading_deg)))
     if turned_deg > _SAME_HEADING_DEG:
@@ -112,9 +116,9 @@ def apply_scene(data: Dataset, pairs: Path, option: str, patch: str) -> tuple[Da
     and `patch` is not "none". Raises InputError for a scene.toml that is missing or invalid, for
     captures whose heading or room differ from those of the fit, and for an impossible room.
     """
-    beside = (pairs if pairs.is_dir() else pairs.parent) / "scene"
-    folder = Path(option) if option else beside
-    if option != "none" and (option or (beside / SCENE_TOML).is_file()):
+    session = pairs if pairs.is_dir() else pairs.parent
+    folder = Path(option or session / "scene")
+    if option != "none" and (option or (folder / SCENE_TOML).is_file()):
         scene = read_scene(folder)
         data = with_scene(data, scene, source=folder / SCENE_TOML)
         doubt = "" if scene.trusted else "WARNING: the scene is not trusted. "

@@ -1,7 +1,7 @@
 """Reject captures that no scene can explain, before a search.
 
-Windows at other places in the pictures than in the room are an error. Captures of another view are
-left out when they are read (`learn.models`).
+It is an error if the windows are at other places in the pictures than in the stated room. Captures
+of another view are left out when they are read (`learn.models`).
 """
 
 import numpy as np
@@ -15,12 +15,10 @@ from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.renderer import OUTSIDE, surfaces
 from fieldlum.room.scene.view import pixel_rays
 
-# Chosen, not measured: a third of the smallest turn that is reported; a turn beyond what the search
-# corrects for a compass near steel.
-_TURN_STEP_DEG = 10.0
-_MIN_TURN_DEG = 30.0
-# Measured in the office and in three rendered rooms: 0 with the correct room; 2.6 to 3.0 with the
-# room turned by 180 degrees.
+_TURN_STEP_DEG = 10.0  # chosen: a third of the smallest turn that is reported
+_MIN_TURN_DEG = 30.0  # chosen: more than the search corrects for a compass near steel
+# Gain of ln luminance in the windows by a turn of the room. Measured in the office and in three
+# rendered rooms: 0 with the correct room; 2.6 to 3.0 with the room turned by 180 degrees.
 _WINDOW_LOG_GAIN = 1.0
 _FLOOR_CDM2 = 0.1  # chosen: a luminance below that of a room by day
 
@@ -32,37 +30,39 @@ def check_captures(data: Dataset, room: Room) -> None:
     windows fit the room only after a turn of 30 degrees or more.
     """
     require_box(room)
-    turned_windows = turned_windows_note(data, room)
-    if turned_windows:
+    if finding := turned_windows_note(data, room):
         expected = "windows at the places stated in [room]"
         remedy = (
             "check heading_deg, wall_azimuth_deg and the windows' walls; nothing was written, and "
             "train uses the stated [room], or no sun patches with --patch none"
         )
-        raise InputError(data.source or "the captures", turned_windows, expected, remedy)
+        raise InputError(data.source or "the captures", finding, expected, remedy)
 
 
 def turned_windows_note(data: Dataset, room: Room) -> str:
-    """Return a sentence if bright windows fit the room only after 30 degrees or more; "" if not."""
+    """Return a clause if bright windows fit the room only after 30 degrees or more; "" if not.
+
+    The room's windows are turned around the camera in steps of 10 degrees, to where the captures'
+    median is brightest. Raises InputError for an impossible room.
+    """
     height, width = data.shape
     _, rays = pixel_rays(height, data.heading_deg, 1)
     ends = surfaces(guess_of(room, data.heading_deg), rays.astype(np.float32))
     glass = (ends.surface == OUTSIDE).reshape(height, width)
     omega = np.where(data.seen, equirect_solid_angles(height, width), 0.0)
     level = np.log(np.maximum(np.median(data.luminance_cdm2, axis=0), _FLOOR_CDM2))  # [H, W]
-    step = max(1, round(_TURN_STEP_DEG / 360.0 * width))
-    turns = np.arange(0, width, step)
-    masks = [np.roll(glass, turn, axis=1) * omega for turn in turns]
-    if min(mask.sum() for mask in masks) <= 0.0:
+    turns_px = np.arange(0, width, max(1, round(_TURN_STEP_DEG / 360.0 * width)))
+    weights = [np.roll(glass, turn, axis=1) * omega for turn in turns_px]
+    if min(weight.sum() for weight in weights) <= 0.0:
         return ""
-    bright = np.array([np.average(level, weights=mask) for mask in masks])
+    bright = np.array([np.average(level, weights=weight) for weight in weights])
     best = int(bright.argmax())
-    turn_deg = float(signed_angle_deg(turns[best] / width * 360.0))
+    turn_deg = float(signed_angle_deg(turns_px[best] / width * 360.0))
     room_level = float(np.average(level, weights=omega))
     # A stated window that is bright exists, even if another place is brighter.
-    absent = bright[0] - room_level < _WINDOW_LOG_GAIN
-    clear = absent and bright[best] - bright[0] > _WINDOW_LOG_GAIN
-    if not clear or abs(turn_deg) < _MIN_TURN_DEG:
+    is_absent = bright[0] - room_level < _WINDOW_LOG_GAIN
+    is_elsewhere = is_absent and bright[best] - bright[0] > _WINDOW_LOG_GAIN
+    if not is_elsewhere or abs(turn_deg) < _MIN_TURN_DEG:
         return ""
     return (
         f"bright windows about {turn_deg:+.0f} degrees (clockwise) from where [room] and "

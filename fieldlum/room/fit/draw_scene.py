@@ -41,7 +41,10 @@ def draw(folder: Path, data: Dataset, scene: Scene) -> list[Path]:
 
 
 def _overlay(data: Dataset, scene: Scene) -> Any:
-    """Draw captures in grey, with the edges of fitted and of stated patches."""
+    """Return a figure of up to four captures in grey, with the edges of fitted and stated patches.
+
+    A matplotlib Figure.
+    """
     from matplotlib import pyplot
 
     rows = _rows_to_draw(data)
@@ -61,7 +64,10 @@ def _overlay(data: Dataset, scene: Scene) -> Any:
 
 
 def _rows_to_draw(data: Dataset) -> Indices:
-    """Return the hours with most direct sun on a window, one for each of several times."""
-    onto = direct_on_windows_lx(data, data.setup.room)
+    """Return the indices of up to four sunny hours, of each quarter the one with most direct sun.
+
+    Direct sun is that on a window; quarters are of the sunny hours in time order.
+    """
+    direct_lx = direct_on_windows_lx(data, data.setup.room)
     parts = np.array_split(np.flatnonzero(sunny_hours(data, data.setup.room)), SHOWN_HOURS)
-    return np.array([part[np.argmax(onto[part])] for part in parts if len(part)])
+    return np.array([part[np.argmax(direct_lx[part])] for part in parts if len(part)])

@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.room.fit.guess import Bar, Guess, Solid, WindowRect, is_outside
+from fieldlum.room.fit.guess import Bar, Guess, WindowRect, is_outside, solid_of
 from fieldlum.room.fit.parameters import Parameter, bar_parameters, solid_parameters
 from fieldlum.room.scene.box_room import WALLS, Span
 
@@ -42,11 +42,11 @@ CABINET_DEPTHS_M, CABINET_LENGTH_M, CABINET_HEIGHTS_M = (0.3, 0.6), 1.6, (0.75, 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of element.
+    """A kind of element, such as furniture, that a search adds to a scene.
 
-    propose: returns guesses with one element more; parameters: of the element that was added last;
-    gain: share of the cost (0 to 1) by which an element must lower it, to be accepted; apart_m:
-    distance from which two proposals are different.
+    propose: yields guesses with one element more than a guess; parameters: returns what a search
+    changes of the element that was added last; gain: share of the cost (0 to 1) that an element
+    must save to be accepted; apart_m: distance from which two proposals are different.
     """
 
     name: str
@@ -71,15 +71,17 @@ class Kind:
 
 
 def _place(guess: Guess) -> Floats:
-    """Return coordinates of a guess's last solid, with its top inside the room, and bar [m].
+    """Return numbers [k] that tell where a guess's last solid and last bar are, m.
 
-    Their largest difference is the distance of two guesses' last elements; bars of another window,
-    or an upright and a level one, count as far (1000 and 100 m).
+    These are the middle of the solid in plan and, in the room, its top; then the bar's window,
+    direction and lower end. The largest difference of these numbers is the distance of two guesses'
+    last elements; bars of another window, or an upright and a level one, count as far (1000 and 100
+    m).
     """
-    solid, bar = guess.solids[-1:], guess.bars[-1:]
-    middles = [np.add(s.low_m, s.high_m)[:2] / 2.0 for s in solid]
-    middles += [np.array(s.high_m[2:]) for s in solid if not is_outside(guess, s)]
-    spans = [np.array([1e3 * b.window, 1e2 * b.upright, b.span_m[0]]) for b in bar]
+    last_solid, last_bar = guess.solids[-1:], guess.bars[-1:]  # without any: empty
+    middles = [np.add(s.low_m, s.high_m)[:2] / 2.0 for s in last_solid]
+    middles += [np.array(s.high_m[2:]) for s in last_solid if not is_outside(guess, s)]
+    spans = [np.array([1e3 * b.window, 1e2 * b.upright, b.span_m[0]]) for b in last_bar]
     return np.concatenate([*middles, *spans])
 
 
@@ -88,25 +90,26 @@ def _shades(guess: Guess) -> Iterator[Guess]:
     for rect in guess.windows:
         middle_u, middle_z = (float(np.mean(span)) for span in (rect.u_m, rect.z_m))
         low, high = middle_u - REACH_M, middle_u + REACH_M
-        sides = ((low, high), (low, middle_u), (middle_u, high))
-        for out, tilt, along in product(FACADE_DISTANCES_M, FACADE_ELEVATIONS_DEG, sides):
-            top = middle_z + out * float(np.tan(np.radians(tilt)))
+        sides = ((low, high), (low, middle_u), (middle_u, high))  # facades: wide, left or right
+        for out, elevation, along in product(FACADE_DISTANCES_M, FACADE_ELEVATIONS_DEG, sides):
+            top = middle_z + out * float(np.tan(np.radians(elevation)))
             yield with_box_outside(guess, rect, along, (out, out + FACADE_THICKNESS_M), (0.0, top))
-        for bearing, tilt in product(BUILDING_BEARINGS_DEG, BUILDING_ELEVATIONS_DEG):
+        for bearing, elevation in product(BUILDING_BEARINGS_DEG, BUILDING_ELEVATIONS_DEG):
             ends = np.array([bearing - BUILDING_HALF_WIDTH_DEG, bearing + BUILDING_HALF_WIDTH_DEG])
             left, right = (middle_u + BUILDING_M[0] * np.tan(np.radians(ends))).tolist()
             away = BUILDING_M[0] / float(np.cos(np.radians(bearing)))
-            top = middle_z + away * float(np.tan(np.radians(tilt)))
+            top = middle_z + away * float(np.tan(np.radians(elevation)))
             yield with_box_outside(guess, rect, (left, right), BUILDING_M, (0.0, top))
         along = (rect.u_m[0] - CANOPY_OVERHANG_M, rect.u_m[1] + CANOPY_OVERHANG_M)
-        within = (0.3 * guess.thickness_m, 0.7 * guess.thickness_m)
+        in_wall = (0.3 * guess.thickness_m, 0.7 * guess.thickness_m)
         for share in SCREEN_SHARES:
-            low_m = rect.z_m[1] - share * (rect.z_m[1] - rect.z_m[0])
-            yield with_box_outside(guess, rect, along, within, (low_m, rect.z_m[1]))
+            bottom = rect.z_m[1] - share * (rect.z_m[1] - rect.z_m[0])
+            yield with_box_outside(guess, rect, along, in_wall, (bottom, rect.z_m[1]))
         for gap, depth in product(CANOPY_GAPS_M, CANOPY_DEPTHS_M):
-            z = rect.z_m[1] + gap
-            out_m = (guess.thickness_m, guess.thickness_m + depth)
-            yield with_box_outside(guess, rect, along, out_m, (z, z + CANOPY_THICKNESS_M))
+            bottom = rect.z_m[1] + gap
+            before_wall = (guess.thickness_m, guess.thickness_m + depth)
+            height = (bottom, bottom + CANOPY_THICKNESS_M)
+            yield with_box_outside(guess, rect, along, before_wall, height)
 
 
 def with_box_outside(guess: Guess, rect: WindowRect, along: Span, out: Span, height: Span) -> Guess:
@@ -116,80 +119,85 @@ def with_box_outside(guess: Guess, rect: WindowRect, along: Span, out: Span, hei
     the wall's inner face; height: above the floor.
     """
     axis, side = WALLS[rect.wall]
-    across = (guess.size_m[axis] + out[0], guess.size_m[axis] + out[1])
-    across = across if side else (-out[1], -out[0])
+    wall_m = guess.size_m[axis]
+    across = (wall_m + out[0], wall_m + out[1]) if side else (-out[1], -out[0])
     spans = (across, along) if axis == 0 else (along, across)
     return _with_solid(guess, (*spans, height))
 
 
-def _with_solid(guess: Guess, spans: tuple[Span, ...]) -> Guess:
-    """Return the guess with one more solid, by its extents along x, y and z."""
-    (x0, x1), (y0, y1), (z0, z1) = spans
-    return replace(guess, solids=(*guess.solids, Solid((x0, y0, z0), (x1, y1, z1), ALBEDO)))
+def _with_solid(guess: Guess, spans: tuple[Span, Span, Span]) -> Guess:
+    """Return the guess with one more solid, by its extents (from, to) along x, y and z [m]."""
+    return replace(guess, solids=(*guess.solids, solid_of(*spans, ALBEDO)))
 
 
 def _barred(guess: Guess) -> Iterator[Guess]:
     """Yield guesses with an upright or a level bar, at every 6 cm of each window."""
     middle = guess.thickness_m / 2.0
     half = min(BAR_HALF_DEPTH_M, 0.8 * middle)
+    depth = (middle - half, middle + half)
     for number, rect in enumerate(guess.windows):
-        for upright, (low, high) in ((True, rect.u_m), (False, rect.z_m)):
+        for is_upright, (low, high) in ((True, rect.u_m), (False, rect.z_m)):
             for at in np.arange(low, high - BAR_M, BAR_SPACING_M).tolist():
-                bar = Bar(number, upright, (at, at + BAR_M), (middle - half, middle + half))
+                bar = Bar(number, is_upright, (at, at + BAR_M), depth)
                 yield replace(guess, bars=(*guess.bars, bar))
 
 
 def _furnished(guess: Guess) -> Iterator[Guess]:
     """Yield guesses with a box, column, table or cabinet that is cut off by walls.
 
-    Boxes (0.8 m) are 0.4, 0.75 or 1.1 m high, columns (0.3 m) reach the ceiling, cabinets of 1.6 m
-    are 0.3 or 0.6 m deep and 0.75, 1.1 or 2 m high.
+    Boxes of 0.8 m by 0.8 m are 0.4, 0.75 or 1.1 m high, columns of 0.3 m by 0.3 m reach the
+    ceiling, cabinets 1.6 m long are 0.3 or 0.6 m deep and 0.75, 1.1 or 2 m high. None holds the
+    camera.
     """
     width, length, height = guess.size_m
     shapes = [(BOX_M, 0.0, min(top, height)) for top in HEIGHTS_M]
     shapes += [(COLUMN_M, 0.0, height), (BOX_M, TABLE_M - TABLE_TOP_M, TABLE_M)]
-    spans = [
+    solids = [
         (_around(x, side, width), _around(y, side, length), (bottom, top))
         for side, bottom, top in shapes
         for x, y in product(_places(width), _places(length))
     ]
     for (axis, side), deep, top in product(WALLS.values(), CABINET_DEPTHS_M, CABINET_HEIGHTS_M):
-        extent, along = guess.size_m[axis], guess.size_m[1 - axis]
+        extent, wall_length = guess.size_m[axis], guess.size_m[1 - axis]
         across = (extent - deep, extent) if side else (0.0, deep)
-        for middle in _places(along):
-            beside = _around(middle, CABINET_LENGTH_M, along)
-            plan = (across, beside) if axis == 0 else (beside, across)
-            spans.append((*plan, (0.0, min(top, height))))
-    for span in spans:
-        if not _holds_camera(guess, span):
-            yield _with_solid(guess, span)
+        for middle in _places(wall_length):
+            along = _around(middle, CABINET_LENGTH_M, wall_length)
+            plan = (across, along) if axis == 0 else (along, across)
+            solids.append((*plan, (0.0, min(top, height))))
+    for spans in solids:
+        if not _holds_camera(guess, spans):
+            yield _with_solid(guess, spans)
 
 
 def _places(extent_m: float) -> list[float]:
-    """Return the lattice's coordinates along one side of the room."""
+    """Return coordinates at every 0.5 m along a side of the room [m]; extent_m: its length."""
     return np.arange(LATTICE_M / 2.0, extent_m, LATTICE_M).tolist()
 
 
 def _around(middle: float, side: float, extent: float) -> Span:
-    """Return an interval around `middle`, cut off at 0 and at the wall."""
+    """Return the interval of length `side` around `middle`, cut off at 0 and at `extent` [m]."""
     return max(middle - side / 2.0, 0.0), min(middle + side / 2.0, extent)
 
 
-def _holds_camera(guess: Guess, span: tuple[Span, ...]) -> bool:
-    """Return whether the camera is in a solid, or at most 0.1 m from its sides or 0.2 m above."""
-    beside = all(
-        low - CLEAR_M < at < high + CLEAR_M
-        for at, (low, high) in zip(guess.camera_m[:2], span[:2], strict=True)
-    )
-    return beside and span[2][1] > guess.camera_m[2] - 2.0 * CLEAR_M
+def _holds_camera(guess: Guess, spans: tuple[Span, Span, Span]) -> bool:
+    """Return whether the camera is in a solid, or at most 0.1 m from its sides or 0.2 m above.
+
+    spans: extents of the solid along x, y and z [m].
+    """
+    x_m, y_m, z_m = guess.camera_m
+    near_x = spans[0][0] - CLEAR_M < x_m < spans[0][1] + CLEAR_M
+    near_y = spans[1][0] - CLEAR_M < y_m < spans[1][1] + CLEAR_M
+    return near_x and near_y and spans[2][1] > z_m - 2.0 * CLEAR_M
 
 
 def _of_last_solid(guess: Guess) -> list[Parameter]:
+    """Return the parameters of the solid that was added last."""
     return solid_parameters(guess, len(guess.solids) - 1)
 
 
-# Gains are chosen, not varied. A bar shades few pixels; a solid that only explains noise gains
-# less; a wrong facade moves north, clock and edges.
+# Gains are chosen, not varied: low for a bar, which shades few pixels; above what a solid gains
+# that only explains noise; highest for shade outside, because a wrong facade moves north, clock and
+# edges.
 SHADES = Kind("shade outside", _shades, _of_last_solid, 0.02, 0.3)
 BARS = Kind("bars", _barred, lambda guess: bar_parameters(len(guess.bars) - 1), 0.002, 0.15)
 FURNITURE = Kind("furniture", _furnished, _of_last_solid, 0.01, 0.45)

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from fieldlum.core.arrays import Floats32, Indices
+from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.room.fit.guess import Guess, guess_of
-from fieldlum.room.fit.renderer import FLOOR, SHELL, Surfaces, surfaces, unit_patches
+from fieldlum.room.fit.renderer import FLOOR, OUTSIDE, SHELL, Surfaces, surfaces, unit_patches
 from fieldlum.room.fit.sunny_hours import (
     MIN_SUNNY_HOURS,
     SUNSHINE_WM2,
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-# From a study of two rooms rendered by Radiance, made before this code. docs/scene.md has later
-# measurements.
+# From a study of two rooms rendered by Radiance, before this code was written. docs/scene.md has
+# later measurements.
 MAX_HOURS = 60
 PIXELS = 4000
 DRAW = 0.637  # offset of the regular draw, 0 to 1; any other gives the same room
-# Of the searches before the last one. With a third of 1 000 pixels they fitted the pixels: from the
-# truth, the misfit of the others rose (docs/scene.md).
+# Pixels of the searches before the last one. With a third of 1 000 pixels they fitted the pixels:
+# from the truth, the misfit of the others rose (docs/scene.md).
 COARSE_PIXELS = 1000
 RAY_ROWS = 58  # rows of rays, at least; chosen: 3.1 degrees apart, as in the outside rooms
 # Log error at which a pixel counts as half wrong: patches differ from the room by a factor of 3 to
@@ -49,7 +49,7 @@ WIDTH = 1.5
 # Albedos that are tried, and the cost of one that is a factor of e off its start: less than a
 # pixel in a thousand that is wrong. Chosen.
 ALBEDOS, ALBEDO_COST = np.geomspace(0.03, 0.95, 37), 5e-4
-WALLS_FACTOR = 2.0  # chosen
+WALLS_FACTOR = 2.0  # of a wall's albedo to the median of the walls, at most; chosen
 # pixels nearer to a window are omitted, because they may look through it; chosen
 _WINDOW_MARGIN_DEG = 4.0
 _CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
@@ -59,12 +59,12 @@ _CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
 class SceneEvidence:
     """Captured light of n sunny hours at m sampled pixels, with which guesses are compared.
 
-    log_seen: ln of the captured luminance, and below: luminance estimated without direct sun, cd/m2
-    [n, m]; direct_lx: of the sun, on a plane normal to it [n]; rays: sub x sub in each pixel, x
-    east, y north, z up by the stated heading [r, 3]; pixel: index below m of each ray [r]; days
-    [n]; clock: altitude and azimuth of the sun, deg, if the stated time were -20, -19 ... 20 min
-    after the true time [41, n, 2]; rows: indices of the hours in the captures [n]; pixels: flat
-    indices in the panorama of `shape` [m].
+    log_seen [n, m]: ln of the captured luminance, cd/m2; below [n, m]: luminance estimated without
+    direct sun, cd/m2; direct_lx [n]: of the sun, on a plane normal to it; rays [r, 3]: sub x sub in
+    each pixel, x east, y north, z up by the stated heading; pixel [r]: index below m of each ray;
+    days [n]; clock [41, n, 2]: altitude and azimuth of the sun, deg, if the stated time were -20,
+    -19 ... 20 min after the true time; rows [n]: indices of the hours in the captures; pixels [m]:
+    flat indices in the panorama of `shape`.
     """
 
     log_seen: Array
@@ -87,31 +87,29 @@ class SceneEvidence:
         """The angle between neighbouring rays [rad]."""
         return np.pi / self.shape[0] / self.sub
 
-    def coarse(self, pixels: int = COARSE_PIXELS) -> SceneEvidence:
-        """Return the evidence of about this many pixels, evenly from all.
+    def coarse(self) -> SceneEvidence:
+        """Return the evidence of about `COARSE_PIXELS` pixels, evenly from all.
 
         With under 1.5 times as many it is unchanged.
         """
-        every = max(1, round(len(self.pixels) / pixels))
+        every = max(1, round(len(self.pixels) / COARSE_PIXELS))
         keep = np.arange(0, len(self.pixels), every)
-        place = np.full(len(self.pixels), -1)
-        place[keep] = np.arange(len(keep))
-        of = place[self.pixel] >= 0
+        rays, pixel = _rays_in(keep, self.rays, self.pixel)
         return replace(
             self,
             log_seen=self.log_seen[:, keep],
             below=self.below[:, keep],
-            rays=self.rays[of],
-            pixel=place[self.pixel[of]],
+            rays=rays,
+            pixel=pixel,
             pixels=self.pixels[keep],
         )
 
     def suns_room(self, guess: Guess) -> NDArray[np.float32]:
         """Return unit vectors to the sun in room axes, by the guess's north and clock, [n, 3]."""
-        at = guess.clock_min + _CLOCK_REACH_MIN
-        low = int(np.clip(np.floor(at), 0, len(self.clock) - 2))
-        share = at - low
-        altitude, azimuth = ((1.0 - share) * self.clock[low] + share * self.clock[low + 1]).T
+        minutes = guess.clock_min + _CLOCK_REACH_MIN  # after the first row of `clock`
+        row = int(np.clip(np.floor(minutes), 0, len(self.clock) - 2))
+        share = minutes - row
+        altitude, azimuth = ((1.0 - share) * self.clock[row] + share * self.clock[row + 1]).T
         world = sun.direction(altitude, azimuth - guess.north_deg)
         return (world @ guess.turn.T).astype(np.float32)
 
@@ -125,7 +123,11 @@ class SceneEvidence:
         return self._shine(guess, surfaces(guess, self.rays, self.spread), tones)
 
     def _shine(self, guess: Guess, ends: Surfaces, tones: Array) -> Array:
-        """Return the luminance of sun patches at ends of the rays; tones: of all surfaces."""
+        """Return the luminance of sun patches where rays end, cd/m2 [n, m].
+
+        ends: of the rays in the guess; tones: albedos of the shell's surfaces and the solids [6 +
+        solids].
+        """
         suns, tone = self.suns_room(guess), tones[ends.surface]
         shine = unit_patches(guess, ends, suns, self.pixel, self.sub, tone)
         return (self.direct_lx[:, None] / np.pi).astype(np.float32) * shine
@@ -134,12 +136,12 @@ class SceneEvidence:
         """Return the evidence with `below`, the light without direct sun, estimated again.
 
         data: all captures; patch: luminance of sun patches, which is subtracted, cd/m2 [n, m].
-        Where a patch is brighter than the capture, it is not there, and nothing is subtracted.
-        Otherwise nothing could be found that hides the sun in only one or two hours: without the
-        patch, the light of these hours would be taken from sunny ones.
         """
         flat = data.luminance_cdm2.reshape(len(data), -1)[:, self.pixels]
         seen = np.maximum(flat, MIN_CDM2)
+        # A patch that is brighter than the capture is not there: nothing is subtracted. Otherwise a
+        # search could not find what hides the sun in only one or two hours, because the light of
+        # these hours without the patch would be that of sunny ones.
         patch = np.where(patch > seen[self.rows], np.float32(0.0), patch)
         direct = np.zeros_like(seen)
         direct[self.rows] = patch
@@ -154,27 +156,28 @@ class SceneEvidence:
         return total / np.linalg.norm(total, axis=1, keepdims=True)
 
     def misfit(self, patch: Array) -> Array:
-        """Return the share of the pixels that patches (cd/m2 [n, m]) leave wrong in each hour, [n].
+        """Return the share of the pixels that are wrong with some patches in each hour, [n].
 
-        It is the mean of e^2 / (e^2 + 1.5^2), e being the error of ln luminance: 0 to 1.
+        patch: luminance of sun patches, cd/m2 [n, m]. The share is the mean of e^2 / (e^2 + 1.5^2),
+        e being the error of ln luminance: 0 to 1.
         """
         return _saturated(np.log(self.below + patch) - self.log_seen).mean(axis=1)
 
     def albedos(self, guess: Guess, start: Array) -> Array:
         """Return the albedo of each surface with which its sun patches fit best, [6].
 
-        Surfaces are west, east, south and north wall, floor and ceiling. Each value has the
-        smallest misfit of those from 0.03 to 0.95, which are 10 % apart, plus the cost of its
-        departure from `start` [6]. Walls are within a factor of two of their median: misplaced
-        patches would make them black.
+        Surfaces are west, east, south and north wall, floor and ceiling. Of the values from 0.03 to
+        0.95, which are 10 % apart, each has the smallest misfit plus cost of its departure from
+        `start` [6]. Walls are within a factor of two of their median: misplaced patches would make
+        them black.
         """
         ends = surfaces(guess, self.rays, self.spread)
         full = self._shine(guess, ends, np.ones(SHELL + len(guess.solids)))
         albedo = start.astype(float)
         hour, pixel = np.nonzero(full)
-        first = np.full(len(self.pixels), -1)
-        first[self.pixel] = ends.surface  # use the last ray of each pixel, because edges are rare
-        surface, shine = first[pixel], full[hour, pixel]
+        of_pixel = np.full(len(self.pixels), -1)
+        of_pixel[self.pixel] = ends.surface  # of the last ray of each pixel: edges are rare
+        surface, shine = of_pixel[pixel], full[hour, pixel]
         below, seen = self.below[hour, pixel], self.log_seen[hour, pixel]
         for k in range(len(albedo)):
             on = surface == k
@@ -185,12 +188,13 @@ class SceneEvidence:
                 for a in ALBEDOS
             ]
             albedo[k] = ALBEDOS[int(np.argmin(costs))]
-        usual = float(np.median(albedo[:FLOOR]))
-        albedo[:FLOOR] = albedo[:FLOOR].clip(usual / WALLS_FACTOR, usual * WALLS_FACTOR)
+        median = float(np.median(albedo[:FLOOR]))
+        albedo[:FLOOR] = albedo[:FLOOR].clip(median / WALLS_FACTOR, median * WALLS_FACTOR)
         return albedo
 
 
 def _saturated(log_error: Array) -> Array:
+    """Return by how much a pixel counts as wrong, from 0 to 1, by its error of ln luminance."""
     squared = log_error**2
     return squared / (squared + WIDTH**2)
 
@@ -208,10 +212,10 @@ def scene_evidence(
 ) -> SceneEvidence:
     """Collect sunny hours, sampled pixels and the light without direct sun from captures.
 
-    Hours are those of `sunny_hours`; at most the 60 strongest are used.
-    room: the stated box; pixels: number of pixels to draw, by solid angle, outside the
-    windows. Raises InputError for a room that is not a box, has no window or is impossible,
-    NotEnoughDataError for fewer than `min_hours` hours.
+    Hours are those of `sunny_hours`, at most the 60 with most direct sun. room: the stated box;
+    pixels: number of pixels to draw, by solid angle, outside the windows. Raises InputError for a
+    room that is not a box, has no window or is impossible, NotEnoughDataError for fewer than
+    `min_hours` hours.
     """
     require_box(room)
     guess = guess_of(room, data.heading_deg)
@@ -225,13 +229,14 @@ def scene_evidence(
         )
     chosen = _draw_pixels(data, guess, pixels)
     sub = max(1, round(RAY_ROWS / data.shape[0]))
-    rays, pixel = _rays_of(data, chosen, sub)
+    all_pixels, all_rays = pixel_rays(data.shape[0], data.heading_deg, sub)
+    rays, pixel = _rays_in(chosen, all_rays, all_pixels)
     seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], MIN_CDM2)
     evidence = SceneEvidence(
         log_seen=np.log(seen[rows]),
         below=seen[rows],
         direct_lx=data.light.direct_lx[rows],
-        rays=rays,
+        rays=rays.astype(np.float32),
         pixel=pixel,
         days=data.days[rows],
         clock=_clock_table(data, rows),
@@ -244,17 +249,18 @@ def scene_evidence(
 
 
 def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
-    """Return sun positions [c, n, 2] for stated times -20 ... 20 min after the true ones.
+    """Return altitude and azimuth of the sun, deg, for each minute of the clock's error, [c, n, 2].
 
-    They are offsets from the captures' own sun columns.
+    Stated times are -20 ... 20 min after the true ones. The captures' own sun angles are shifted by
+    the sun's motion in that time. rows: indices of the n hours in the captures.
     """
     light, site = data.light[rows], data.setup.site
-    at = sun.position(light.t_utc, site)
+    stated = sun.position(light.t_utc, site)
     table = []
-    for late in range(-_CLOCK_REACH_MIN, _CLOCK_REACH_MIN + 1):
-        moved = sun.position([t - timedelta(minutes=late) for t in light.t_utc], site)
-        altitude = light.apparent_altitude_deg + moved.altitude_deg - at.altitude_deg
-        azimuth = light.sun_azimuth_deg + signed_angle_deg(moved.azimuth_deg - at.azimuth_deg)
+    for late_min in range(-_CLOCK_REACH_MIN, _CLOCK_REACH_MIN + 1):
+        true = sun.position([t - timedelta(minutes=late_min) for t in light.t_utc], site)
+        altitude = light.apparent_altitude_deg + true.altitude_deg - stated.altitude_deg
+        azimuth = light.sun_azimuth_deg + signed_angle_deg(true.azimuth_deg - stated.azimuth_deg)
         table.append(np.stack([altitude, azimuth], axis=-1))
     return np.stack(table)
 
@@ -262,59 +268,56 @@ def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
 def _draw_pixels(data: Dataset, guess: Guess, count: int) -> Indices:
     """Return flat indices of pixels that are evenly spaced by solid angle.
 
-    count: of the pixels, of which a few can coincide. Pixels that may look through a window of the
-    guess are not drawn.
+    count: number of the pixels, of which a few can coincide. Pixels that may look through a window
+    of the guess are not drawn.
     """
     height, width = data.shape
     _, middle = pixel_rays(height, data.heading_deg, 1)
-    away = surfaces(guess, middle.astype(np.float32)).surface < 0
+    glass = surfaces(guess, middle.astype(np.float32)).surface == OUTSIDE
     margin = round(_WINDOW_MARGIN_DEG / 180.0 * height)
-    glass = binary_dilation(away.reshape(height, width), iterations=max(1, margin))
-    usable = data.seen & ~np.asarray(glass, bool)
+    near_glass = binary_dilation(glass.reshape(height, width), iterations=max(1, margin))
+    usable = data.seen & ~np.asarray(near_glass, bool)
     omega = np.where(usable, equirect_solid_angles(height, width), 0.0).ravel()
     count = min(count, int((omega > 0.0).sum()))
-    at = (np.arange(count) + DRAW) / count
-    return np.unique(np.searchsorted(np.cumsum(omega) / omega.sum(), at))
+    shares = (np.arange(count) + DRAW) / count
+    return np.unique(np.searchsorted(np.cumsum(omega) / omega.sum(), shares))
 
 
-def _rays_of(data: Dataset, chosen: Indices, sub: int) -> tuple[Floats32, Indices]:
-    """Return sub x sub rays in each chosen pixel [r, 3], and the index of each ray's pixel [r].
+def _rays_in(chosen: Indices, rays: Floats, pixel: NDArray[np.integer]) -> tuple[Floats, Indices]:
+    """Return the rays in chosen pixels [k, 3], and for each the index of its pixel in `chosen` [k].
 
-    Rays are unit vectors, x east, y north, z up by the stated heading.
+    chosen: indices of pixels [m], ascending; rays [r, 3]; pixel: index of each ray's pixel [r].
     """
-    pixel, rays = pixel_rays(data.shape[0], data.heading_deg, sub)
-    place = np.full(data.shape[0] * data.shape[1], -1)
-    place[chosen] = np.arange(len(chosen))
-    of = place[pixel] >= 0
-    return rays[of].astype(np.float32), place[pixel[of]]
+    of = np.isin(pixel, chosen)
+    return rays[of], np.searchsorted(chosen, pixel[of])
 
 
 # ----------------------------------------------------------------------------------------------
 # the indirect component below the patches
 
-# From a study of two rooms rendered by Radiance, made before this code (docs/scene.md).
+# From a study of two rooms rendered by Radiance, before this code was written (docs/scene.md).
 RANK = 15  # few enough features that smooth light cannot imitate a patch; chosen with the study
 ROUNDS = 6
-# a sun patch only adds light, so brighter pixels lose weight sooner; chosen with the study
+# Log errors that halve a pixel's weight: a sun patch only adds light, so brighter pixels lose
+# weight sooner. Chosen with the study.
 BRIGHTER, DARKER = 0.12, 0.5
-# Chosen with the study: an hour's level is one number, so that dark pixels are noise for it; a
-# luminance below that of a room by day; a share of the mean diagonal that makes the system
-# solvable.
+# Of a round for an hour's level, one smooth field, for which dark pixels are noise; chosen with the
+# study.
 LEVEL_ROUNDS, LEVEL_DARKER = 12, 0.25
-MIN_CDM2 = 0.1
-_RIDGE = 1e-3
+MIN_CDM2 = 0.1  # chosen: a luminance below that of a room by day
+_RIDGE = 1e-3  # share of the mean diagonal that makes the system solvable; chosen
 _PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light below; chosen
 
 
 def indirect_component(data: Dataset, seen: Array, patch: Array) -> Array:
-    """Estimate the luminance that pixels would show in n captures without direct sun on them.
+    """Estimate the luminance that m pixels would show in n captures without direct sun on them.
 
     data: the captures, for their light and room; seen: captured luminance; patch: luminance of
     known sun patches, which is subtracted, and values that it dominates count less; each and the
-    result cd/m2 [n, m]. Light of sky and sun that changes smoothly between hours has few features:
-    the 15 eigenvectors of the kernel with the largest eigenvalues, and 1. A pixel is a ridge
-    regression on them. Its rounds reduce the weight of pixels that are brighter than the fit,
-    because a sun patch only adds light. The result is at least 0.1.
+    result cd/m2 [n, m], at least 0.1. Light of sky and sun that changes smoothly between hours has
+    few features: the 15 eigenvectors of the kernel with the largest eigenvalues, and 1. Each pixel
+    is fitted by ridge regression on them, in rounds that reduce the weight of values brighter than
+    the fit, because a sun patch only adds light.
     """
     features = light_features(data.light)
     kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
@@ -348,6 +351,7 @@ def indirect_component(data: Dataset, seen: Array, patch: Array) -> Array:
 
 
 def _trust(patch: Array, seen: Array) -> Array:
+    """Return the weight of values, 0 to 1, lower where a patch is most of the captured light."""
     return 1.0 / (1.0 + (patch / (_PATCH_SHARE * seen)) ** 2)
 
 
@@ -355,23 +359,23 @@ def levelled(below: Array, seen: Array, patch: Array, directions: Array) -> Arra
     """Return the light below patches, corrected for each hour by a smooth factor, [n, m] cd/m2.
 
     below: luminance estimated without direct sun; seen: captured; patch: of known sun patches; each
-    [n, m] cd/m2; directions: unit vectors to the pixels [m, 3].
-    The features behind `below` do not determine how bright the room is under a sun that no other
-    hour has. Therefore each hour corrects the logarithm by nine smooth functions of the direction,
-    in rounds that reduce the weight of pixels brighter than the fit.
+    [n, m] cd/m2; directions: unit vectors to the pixels [m, 3]. The features behind `below` do not
+    determine how bright the room is under a sun that no other hour has. Therefore the logarithm of
+    each hour is corrected by nine smooth functions of the direction, in rounds that reduce the
+    weight of pixels brighter than the fit.
     """
     x, y, z = directions.T
     terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x, z * z], axis=1)
-    off = np.log(np.maximum(seen - patch, 0.02 * seen) / below)  # [n, m]
-    first = _trust(patch, seen)
+    log_ratio = np.log(np.maximum(seen - patch, 0.02 * seen) / below)  # [n, m]
+    trust = _trust(patch, seen)
     products = np.einsum("mk,ml->mkl", terms, terms).reshape(len(terms), -1)  # [m, 81]
-    field = np.zeros_like(off)
+    field = np.zeros_like(log_ratio)
     for number in range(LEVEL_ROUNDS):
-        error = off - field
+        error = log_ratio - field
         excess = np.where(error > 0.0, error / BRIGHTER, error / LEVEL_DARKER) ** 2
-        weight = first / (1.0 + excess) if number else first
+        weight = trust / (1.0 + excess) if number else trust
         normal = (weight @ products).reshape(-1, 9, 9)
         normal = normal + 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(9)
-        right = (weight * off) @ terms
+        right = (weight * log_ratio) @ terms
         field = np.linalg.solve(normal, right[..., None])[..., 0] @ terms.T
     return below * np.exp(field)

@@ -27,7 +27,7 @@ from fieldlum.room.fit.parameters import (
     stated_albedo,
 )
 from fieldlum.room.fit.scene_file import Scene
-from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
+from fieldlum.room.fit.search import STEP_SHARES, SceneCost, covariance, prior_unit, search
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.training_data import Dataset
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 
 # Rounds of proposals, and proposals of a kind that are searched in each; chosen, for time.
 MAX_ROUNDS, _SEARCHED = 4, 6
-SURE = 1.0  # standard errors over hours by which an element lowers the cost; chosen
-# In four rooms of other renderers north was off by 1.5 to 8 of the search's own uncertainties:
-# boxes lack what the rooms have. No number is less certain than it was stated.
+MIN_STANDARD_ERRORS = 1.0  # of its mean over hours that an element's gain must have; chosen
+# Factor on the search's own uncertainties, up to those of the stated numbers: in four rooms of
+# other renderers north was off by 1.5 to 8 of them, because boxes lack what the rooms have.
 MODEL_ERROR = 4.0
 
 
@@ -60,34 +60,35 @@ def fit_scene(
     """
     with threadpool_limits(1, user_api="blas"):
         progress(0, 100, "light below the patches")
-        found = SceneSearch(data, room, pose, clock_sd_min, pixels)
-        found.run(lambda done, text: progress(done, 100, text))
+        fit = SceneSearch(data, room, pose, clock_sd_min, pixels)
+        fit.run(lambda percent, text: progress(percent, 100, text))
         progress(90, 100, "uncertainties")
-        u = found.uncertainties()
+        u = fit.uncertainties()
     progress(100, 100, "")
-    guess, parameters = found.guess, found.parameters
+    guess, parameters = fit.guess, fit.parameters
     return Scene(
         north_deg=guess.north_deg,
         clock_min=guess.clock_min,
-        room=true_room(guess, room, found.albedo),
+        room=true_room(guess, room, fit.albedo),
         chosen="fitted",
         verdict="",
         stated_heading_deg=data.heading_deg,
         stated_room=room,
-        hours=len(found.evidence),
-        misfit=found.misfit(),
-        before={p.name: p.measured(found.start) for p in parameters},
+        hours=len(fit.evidence),
+        misfit=fit.misfit(),
+        before={p.name: p.measured(fit.start) for p in parameters},
         after={p.name: p.measured(guess) for p in parameters},
         u=u,
-        notes=tuple(_notes(u, found.evidence)),
+        notes=tuple(_notes(u, fit.evidence)),
     )
 
 
 class SceneSearch:
-    """State of one fit: the guess, and the evidence and albedos that belong to it.
+    """State of one fit: the present guess, and the evidence and albedos that belong to it.
 
-    data, room: captures and stated box. pose: the camera's by sun discs, None if unknown.
-    clock_sd_min: standard deviation of the stated clock's error [min]. pixels: number that is used.
+    data, room: captures and stated box. pose: pose and clock by sun discs, None without.
+    parameters: those of the room, which have a prior. albedo: of west, east, south and north wall,
+    floor and ceiling [6]. unit: cost of one standard deviation of one parameter.
     """
 
     def __init__(
@@ -107,14 +108,15 @@ class SceneSearch:
         self.unit = prior_unit(self.evidence, self.start, self.albedo)
 
     def cost(self, *, coarse: bool = False) -> SceneCost:
-        """Return the function that computes a guess's cost; coarse: at fewer pixels, for speed."""
+        """Return the cost function of guesses; coarse: at fewer pixels, for speed."""
         evidence = self.evidence.coarse() if coarse else self.evidence
         return SceneCost(evidence, self.start, self.parameters, self.albedo, self.unit, self.pose)
 
     def run(self, step: Callable[[int, str], None], kinds: Sequence[Kind] = KINDS) -> Guess:
-        """Search everything from the stated box; the state becomes the result's.
+        """Search all numbers and elements from the stated box; return the guess, the new state.
 
-        step: called with the progress in percent and its name. kinds: of elements that are tried.
+        step: called with the progress in percent and the step's name. kinds: of elements that are
+        tried.
         """
         step(10, "box and clock")
         start = self.start if self.pose is None else self.pose.applied(self.start)
@@ -127,32 +129,33 @@ class SceneSearch:
             if more is self.guess:
                 break
             self._accept(more)
-            self._search_all(LEVELS[1:2])
+            self._search_all(STEP_SHARES[1:2])
             self._prune(kinds)
         step(80, "all together")
         self._search_all()
         return self.guess
 
-    def _search_all(self, levels: Sequence[float] = LEVELS[1:]) -> None:
+    def _search_all(self, step_shares: Sequence[float] = STEP_SHARES[1:]) -> None:
         """Search all parameters again; the light without direct sun is that of the last guess."""
         parameters = all_parameters(self.guess, self.parameters)
-        self._accept(search(self.cost(), self.guess, parameters, levels)[0])
+        self._accept(search(self.cost(), self.guess, parameters, step_shares)[0])
 
     def _with_more(self, kinds: Sequence[Kind]) -> Guess:
-        """Return the guess with more elements: all of the best proposals that pay together.
+        """Return the guess with more elements: of the best proposals, each that saves enough cost.
 
-        kinds: of the elements that are proposed.
+        kinds: of the elements that are proposed. Proposals are added in the order of their gains
+        alone, each if it still gains with those before it.
         """
         cost = self.cost(coarse=True)
-        found: list[tuple[float, Kind, Guess]] = []
+        trials: list[tuple[float, Kind, Guess]] = []
         for kind in kinds:
             proposals = list(kind.propose(self.guess))
             costs = np.array([cost(proposal) for proposal in proposals])
             for proposal in kind.best(proposals, costs, _SEARCHED):
-                trial, _ = search(cost, proposal, kind.parameters(proposal), LEVELS[:2])
-                found.append((self._gain(self.guess, trial), kind, trial))
+                trial, _ = search(cost, proposal, kind.parameters(proposal), STEP_SHARES[:2])
+                trials.append((self._gain(self.guess, trial), kind, trial))
         guess, solids, bars = self.guess, len(self.guess.solids), len(self.guess.bars)
-        for _, kind, trial in sorted(found, key=lambda one: -one[0]):
+        for _, kind, trial in sorted(trials, key=lambda trial: -trial[0]):  # by gain
             more = replace(
                 guess,
                 solids=(*guess.solids, *trial.solids[solids:]),
@@ -162,21 +165,20 @@ class SceneSearch:
         return guess
 
     def _gain(self, without: Guess, with_it: Guess) -> float:
-        """Return by what share an element lowers the cost; -inf if that is not sure.
+        """Return the share of the cost that an element saves; -inf if it can be by chance.
 
-        It is sure if the mean over the hours is over its standard error.
+        It can be by chance if the mean over the hours is not over its standard error. without,
+        with_it: the guesses without and with the element.
         """
         cost = self.cost()
         before, after = (cost.by_hour(guess) for guess in (without, with_it))
         saved = before - after
-        sure = saved.mean() > SURE * saved.std(ddof=1) / np.sqrt(len(saved))
-        return float(saved.sum() / before.sum()) if sure else -np.inf
+        standard_error = saved.std(ddof=1) / np.sqrt(len(saved))
+        certain = saved.mean() > MIN_STANDARD_ERRORS * standard_error
+        return float(saved.sum() / before.sum()) if certain else -np.inf
 
     def _prune(self, kinds: Sequence[Kind]) -> None:
-        """Take away bars and added solids that do not pay.
-
-        kinds: of the added elements; the least gain of any is needed.
-        """
+        """Remove bars and added solids whose gain is not over the smallest `gain` of `kinds`."""
         guess, minimum = self.guess, min((kind.gain for kind in kinds), default=0.0)
         for bar in guess.bars:
             without = replace(guess, bars=tuple(b for b in guess.bars if b is not bar))
@@ -187,7 +189,7 @@ class SceneSearch:
         self.guess = guess
 
     def _accept(self, guess: Guess) -> None:
-        """Set guess and albedos, and estimate the light without direct sun again."""
+        """Set the guess and its albedos, and estimate the light without direct sun again."""
         self.guess = guess
         self.albedo = self.evidence.albedos(guess, stated_albedo(self.room))
         self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, self.albedo))
@@ -195,7 +197,7 @@ class SceneSearch:
     def misfit(self) -> dict[str, float]:
         """Return the mean misfit, 0 to 1, of three geometries; keys: none, stated and fitted.
 
-        The stated box gets its own albedos.
+        "none" is without sun patches; "stated" is the stated box with albedos that fit it.
         """
         of_fitted = self.evidence.patches(self.guess, self.albedo)
         albedo = self.evidence.albedos(self.start, stated_albedo(self.room))
@@ -207,8 +209,11 @@ class SceneSearch:
         return {name: float(self.evidence.misfit(p).mean()) for name, p in patches.items()}
 
     def uncertainties(self) -> dict[str, float]:
-        """Return standard uncertainties after `run`, by `Parameter.name`, in parameters' units."""
-        own = np.sqrt(np.diag(covariance(self.cost(), self.guess, self.parameters)))
+        """Return standard uncertainties after `run`, by `Parameter.name`, in parameters' units.
+
+        Those of the search are multiplied by up to `MODEL_ERROR`, but not beyond the stated ones.
+        """
+        own = np.sqrt(np.diag(covariance(self.cost(), self.guess, self.parameters)))  # in steps
         stated = np.array([p.sd / p.step for p in self.parameters])
         wider = own * np.clip(stated / own, 1.0, MODEL_ERROR)
         return {p.name: u * p.step for p, u in zip(self.parameters, wider.tolist(), strict=True)}
@@ -217,8 +222,8 @@ class SceneSearch:
 def true_room(guess: Guess, stated: Room, albedo: Floats) -> Room:
     """Return the guess as a `Room` whose wall azimuth is relative to true north.
 
-    The azimuth is the guess's plus its correction of north; stated: the room for fields that are
-    not fitted; albedo: of west, east, south and north wall, floor and ceiling [6].
+    The azimuth is the guess's plus its correction of north. stated: the room, for what is not
+    fitted; albedo: of west, east, south and north wall, floor and ceiling [6].
     """
     return replace(
         room_of(guess, stated),
@@ -232,7 +237,7 @@ def true_room(guess: Guess, stated: Room, albedo: Floats) -> Room:
 def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
     """Return sentences for the user on what the captures do not determine.
 
-    u: standard uncertainty by parameter.
+    u: standard uncertainty by parameter's name, deg and min.
     """
     notes = []
     if u["north_deg"] > 0.2 and u["clock_min"] > 0.8:

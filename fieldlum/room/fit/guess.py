@@ -12,9 +12,9 @@ from typing import Literal
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Obstruction, Room, Window
 from fieldlum.optics.projection import rotation
-from fieldlum.room.scene.box_room import WALLS, Span, build, room_axes, window_bars
+from fieldlum.room.scene.box_room import WALLS, Span, build, room_axes, upright, window_bars
 
-# thinner ones only explain noise; chosen
+# thinner solids and bars only explain noise; chosen
 _THIN_SOLID_M, _THIN_BAR_M = 0.04, 0.01
 
 
@@ -101,20 +101,17 @@ class Guess:
 
 
 def is_possible(guess: Guess) -> bool:
-    """Return whether the camera is in the room, in no solid, and no extent is negative."""
-    inside = all(0.0 < e < size for e, size in zip(guess.camera_m, guess.size_m, strict=True))
-    spans = [(s.low_m, s.high_m) for s in guess.solids]
-    extents = [span for low, high in spans for span in zip(low, high, strict=True)]
-    extents += [span for rect in guess.windows for span in (rect.u_m, rect.z_m)]
-    extents += [span for bar in guess.bars for span in (bar.span_m, bar.depth_m)]
-    return (
-        inside
-        and all(b > a for a, b in extents)
-        and not any(
-            all(a < e < b for a, e, b in zip(low, guess.camera_m, high, strict=True))
-            for low, high in spans
-        )
-    )
+    """Return whether the camera is in the room and in no solid, and every size is above 0."""
+
+    def holds_camera(low: Sequence[float], high: Sequence[float]) -> bool:
+        return all(a < at < b for a, at, b in zip(low, guess.camera_m, high, strict=True))
+
+    spans = [span for s in guess.solids for span in zip(s.low_m, s.high_m, strict=True)]
+    spans += [span for rect in guess.windows for span in (rect.u_m, rect.z_m)]
+    spans += [span for bar in guess.bars for span in (bar.span_m, bar.depth_m)]
+    in_solid = any(holds_camera(solid.low_m, solid.high_m) for solid in guess.solids)
+    in_room = holds_camera((0.0, 0.0, 0.0), guess.size_m)
+    return in_room and not in_solid and all(end > start for start, end in spans)
 
 
 def thickened(guess: Guess) -> Guess:
@@ -126,33 +123,38 @@ def thickened(guess: Guess) -> Guess:
         replace(bar, span_m=_wide(bar.span_m, _THIN_BAR_M), depth_m=_wide(bar.depth_m, _THIN_BAR_M))
         for bar in guess.bars
     )
-    spans = [
-        [_wide(span, _THIN_SOLID_M) for span in zip(solid.low_m, solid.high_m, strict=True)]
-        for solid in guess.solids
-    ]
-    solids = tuple(
-        Solid((x[0], y[0], z[0]), (x[1], y[1], z[1]), solid.albedo)
-        for solid, (x, y, z) in zip(guess.solids, spans, strict=True)
-    )
-    return replace(guess, bars=bars, solids=solids)
+    solids = []
+    for solid in guess.solids:
+        spans = zip(solid.low_m, solid.high_m, strict=True)
+        x_m, y_m, z_m = (_wide(span, _THIN_SOLID_M) for span in spans)
+        solids.append(solid_of(x_m, y_m, z_m, solid.albedo))
+    return replace(guess, bars=bars, solids=tuple(solids))
 
 
-def _wide(span: Span, width: float) -> Span:
-    """Return an interval of at least this width, with the same middle."""
-    short = max(width - (span[1] - span[0]), 0.0) / 2.0
-    return span[0] - short, span[1] + short
+def solid_of(x_m: Span, y_m: Span, z_m: Span, albedo: float) -> Solid:
+    """Return a solid by its extents (from, to) along the room's axes, m; albedo: 0 to 1."""
+    return Solid((x_m[0], y_m[0], z_m[0]), (x_m[1], y_m[1], z_m[1]), albedo)
+
+
+def _wide(span_m: Span, width_m: float) -> Span:
+    """Return an interval of at least this width, with the same middle, m."""
+    missing_m = max(width_m - (span_m[1] - span_m[0]), 0.0) / 2.0
+    return span_m[0] - missing_m, span_m[1] + missing_m
 
 
 def is_outside(guess: Guess, solid: Solid) -> bool:
-    """Return whether a solid is beyond the inner face of a wall with its full extent."""
+    """Return whether a solid is completely beyond the inner face of a wall."""
     return any(
         solid.high_m[axis] <= 0.0 or solid.low_m[axis] >= guess.size_m[axis] for axis in (0, 1)
     )
 
 
 @lru_cache(maxsize=64)
-def _camera_turn(azimuth_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float) -> Floats:
-    return room_axes(azimuth_deg) @ rotation(0.0, tilt_deg, roll_deg, axis_deg)
+def _camera_turn(
+    wall_azimuth_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float
+) -> Floats:
+    """Return `Guess.camera_turn`, [3, 3]; stored, because searches repeat the same angles."""
+    return room_axes(wall_azimuth_deg) @ rotation(0.0, tilt_deg, roll_deg, axis_deg)
 
 
 def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
@@ -166,18 +168,11 @@ def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
     for number, (window, opening) in enumerate(zip(room.window, scene.openings, strict=True)):
         rect = WindowRect(window.wall, opening.u_m, opening.z_m, window.transmittance)
         windows.append(rect)
-        posts, rails, half = window_bars(window, opening, room.wall_thickness_m)
-        depth = (middle - half, middle + half)
+        posts, rails, half_m = window_bars(window, opening, room.wall_thickness_m)
+        depth = (middle - half_m, middle + half_m)
         bars += [Bar(number, True, span, depth) for span in posts]
         bars += [Bar(number, False, span, depth) for span in rails]
-    solids = tuple(
-        Solid(
-            (o.x_m, o.y_m, o.z_m),
-            (o.x_m + o.width_m, o.y_m + o.depth_m, o.z_m + o.height_m),
-            o.reflectance,
-        )
-        for o in room.obstruction
-    )
+    obstructions = [scene.boxes[k] for k in scene.of_kind("obstruction")]
     return Guess(
         size_m=(room.width_m, room.depth_m, room.height_m),
         camera_m=(room.camera_x_m, room.camera_y_m, room.camera_z_m),
@@ -185,7 +180,7 @@ def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
         thickness_m=room.wall_thickness_m,
         windows=tuple(windows),
         bars=tuple(bars),
-        solids=solids,
+        solids=tuple(Solid(box.low, box.high, box.reflectance) for box in obstructions),
         tilt_deg=room.camera_tilt_deg,
         roll_deg=room.camera_roll_deg,
         axis_deg=axis_deg,
@@ -199,7 +194,7 @@ def room_of(guess: Guess, stated: Room) -> Room:
     enters. stated: the room from which other fields are taken, also the walls' azimuth; neither
     `guess.wall_azimuth_deg` nor `guess.north_deg` is applied.
     """
-    windows = tuple(_window(guess, rect) for rect in _fitting(guess))
+    windows = tuple(_window(guess, rect) for rect in _cut_windows(guess))
     bars = tuple(_bar_obstruction(guess, bar, stated.reflectance_frame) for bar in guess.bars)
     solids = tuple(_obstruction(s.low_m, s.high_m, s.albedo) for s in guess.solids)
     return replace(
@@ -218,54 +213,54 @@ def room_of(guess: Guess, stated: Room) -> Room:
     )
 
 
-def _fitting(guess: Guess) -> list[WindowRect]:
+def _cut_windows(guess: Guess) -> list[WindowRect]:
     """Return the windows without their parts beyond the wall or inside an earlier window.
 
     Windows of which nothing remains are left out. Of two windows that overlap, the later one loses
-    the part in which its overlap is narrower, in width or in height.
+    the overlap, by becoming narrower or lower, whichever is less.
     """
     kept: list[WindowRect] = []
     for rect in guess.windows:
         length = guess.size_m[1 - WALLS[rect.wall][0]]
-        u, z = _common(rect.u_m, (0.0, length)), _common(rect.z_m, (0.0, guess.size_m[2]))
+        u, z = _overlap(rect.u_m, (0.0, length)), _overlap(rect.z_m, (0.0, guess.size_m[2]))
         for other in kept:
             if other.wall != rect.wall:
                 continue
-            across, up = _common(u, other.u_m), _common(z, other.z_m)
-            width, height = across[1] - across[0], up[1] - up[0]
+            along, up = _overlap(u, other.u_m), _overlap(z, other.z_m)
+            width, height = along[1] - along[0], up[1] - up[0]
             if width > 0.0 and height > 0.0:
-                u, z = (_without(u, across), z) if width <= height else (u, _without(z, up))
+                u, z = (_without(u, along), z) if width <= height else (u, _without(z, up))
         if min(u[1] - u[0], z[1] - z[0]) > 1e-3:  # a millimetre
             kept.append(replace(rect, u_m=u, z_m=z))
     return kept
 
 
-def _common(first: Span, other: Span) -> Span:
+def _overlap(first: Span, other: Span) -> Span:
     """Return the overlap of two intervals; without one its end is not after its start."""
     return max(first[0], other[0]), min(first[1], other[1])
 
 
 def _without(interval: Span, part: Span) -> Span:
-    """Return the longer of the two ends that an interval has without a part of it."""
+    """Return what remains of an interval without a part of it: the longer of the two ends."""
     below, above = (interval[0], part[0]), (part[1], interval[1])
     return below if below[1] - below[0] >= above[1] - above[0] else above
 
 
 def _window(guess: Guess, rect: WindowRect) -> Window:
-    """Return a window as in `[[room.window]]`; left_m is from the left end as seen from inside."""
-    length = guess.size_m[0] if WALLS[rect.wall][0] == 1 else guess.size_m[1]
+    """Return a window as in `[[room.window]]`; left_m is from the left end as seen from inside.
+
+    It has no frame and no transom: the guess's bars become obstructions.
+    """
+    length = guess.size_m[1 - WALLS[rect.wall][0]]
     (u0, u1), (z0, z1) = rect.u_m, rect.z_m
-    left_m = length - u1 if rect.wall in ("south", "east") else u0
     return Window(
         rect.wall,
-        left_m,
+        left_m=length - u1 if rect.wall in ("south", "east") else u0,
         width_m=u1 - u0,
         sill_m=z0,
         height_m=z1 - z0,
         transmittance=rect.transmittance,
-        panes=1,
         frame_m=0.0,
-        transom_m=0.0,
     )
 
 
@@ -273,18 +268,15 @@ def _bar_obstruction(guess: Guess, bar: Bar, albedo: float) -> Obstruction:
     """Return a glazing bar as a box in room axes; albedo: its reflectance."""
     rect = guess.windows[bar.window]
     axis, side = WALLS[rect.wall]
-    inner = guess.size_m[axis] if side else 0.0
-    outward = 1.0 if side else -1.0
-    across = sorted(inner + outward * depth for depth in bar.depth_m)
+    inner, outward = (guess.size_m[axis], 1.0) if side else (0.0, -1.0)
+    start, end = sorted(inner + outward * depth for depth in bar.depth_m)
     u, z = (bar.span_m, rect.z_m) if bar.upright else (rect.u_m, bar.span_m)
-    low, high = [0.0, 0.0, z[0]], [0.0, 0.0, z[1]]
-    low[axis], high[axis] = across
-    low[1 - axis], high[1 - axis] = u
-    return _obstruction(low, high, albedo)
+    box = upright(axis, (start, end), u, z, albedo, "frame")
+    return _obstruction(box.low, box.high, albedo)
 
 
 def _obstruction(low: Sequence[float], high: Sequence[float], albedo: float) -> Obstruction:
-    """Return a box by two opposite corners x, y, z [m]; albedo: its reflectance."""
+    """Return a box by its lowest and highest corner (x, y, z) in m; albedo: its reflectance."""
     return Obstruction(
         x_m=low[0],
         y_m=low[1],

@@ -18,25 +18,26 @@ from fieldlum.room.fit.checks import turned_windows_note
 from fieldlum.room.fit.evidence import COARSE_PIXELS, scene_evidence
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import room_parameters, stated_albedo
-from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
+from fieldlum.room.fit.search import STEP_SHARES, SceneCost, covariance, prior_unit, search
 from fieldlum.room.scene.box_room import is_box_with_window
 
 MIN_HOURS = 3  # sunny captures that a test needs; chosen
-SURE = 3.0  # smallest ratio of a correction to its standard uncertainty; chosen
+MIN_UNCERTAINTIES = 3.0  # smallest ratio of a correction to its standard uncertainty; chosen
 # Smallest corrections that are reported: a compass and a hand-set clock are no better. Chosen.
 MIN_OFF = {"north_deg": 0.5, "wall_azimuth_deg": 0.5, "clock_min": 1.0}
-TAPE_SDS = 3.0  # from which a length of the room counts as wrong, not as inaccurate; chosen
+# A length that is off by more standard deviations of a tape is wrong, not inaccurate; chosen.
+TAPE_SDS = 3.0
 MIN_GAIN = 0.02  # share of the misfit that wrong numbers must explain; chosen
 
 
 @dataclass(frozen=True, slots=True)
 class Misplacement:
-    """Which wrong settings would explain that sun patches are not where they are computed.
+    """Wrong settings that would explain why sun patches are not where they are computed.
 
-    off: by name of a number, how much must be added to the stated one, and the standard uncertainty
-    (deg, min, m; clock_min: stated times are later than the true ones). gain: share of the misfit
-    that this explains, in `hours` sunny hours. note: directions that are grossly wrong, which
-    leaves the rest untested.
+    off: by the name of a number, the correction that must be added to the stated one, and its
+    standard uncertainty (deg, min, m; clock_min above 0: stated times are later than the true
+    ones). gain: share of the misfit that this explains, in `hours` sunny hours. note: a sentence on
+    a grossly wrong direction; then nothing else was tested.
     """
 
     off: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -46,10 +47,10 @@ class Misplacement:
 
 
 def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
-    """Test north, clock and the room's measures against the sun patches in the captures.
+    """Return what is wrong with north, clock and the room's measures, by captured sun patches.
 
-    Return None if patches are not used (patch "none", or `data` has none), without a box room with
-    windows, or if under three captures show direct sun.
+    Return None if nothing can be tested: patches are not used (patch "none", or `data` has none),
+    the room is not a box with windows, or under three captures have direct sun on a window.
     """
     room = data.setup.room
     if patch == "none" or data.patch_cdm2 is None or not is_box_with_window(room):
@@ -71,20 +72,21 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
     guess, albedo = start, evidence.albedos(start, stated_albedo(room))
     progress(30, 100, "setting: north, clock and room")
     unit = prior_unit(evidence, start, albedo)
-    for levels in (LEVELS, LEVELS[1:]):  # light below patches includes a part of them at first
+    # the first estimate of the light below the patches includes a part of them
+    for step_shares in (STEP_SHARES, STEP_SHARES[1:]):
         cost = SceneCost(evidence, start, parameters, albedo, unit)
-        guess, final = search(cost, guess, parameters, levels)
+        guess, _ = search(cost, guess, parameters, step_shares)
         albedo = evidence.albedos(guess, stated_albedo(room))
         evidence = evidence.relit(data, evidence.patches(guess, albedo))
     cost = SceneCost(evidence, start, parameters, albedo, unit)
-    guess, final = search(cost, guess, parameters, LEVELS[1:])
-    u = np.sqrt(np.diag(covariance(cost, guess, parameters)))
+    guess, final = search(cost, guess, parameters, STEP_SHARES[1:])
+    u_steps = np.sqrt(np.diag(covariance(cost, guess, parameters)))
     off: dict[str, tuple[float, float]] = {}
-    for p, sd in zip(parameters, u.tolist(), strict=True):
-        by, error = p.measured(guess) - p.measured(start), sd * p.step
-        enough = MIN_OFF.get(p.name, TAPE_SDS * p.sd)
-        if abs(by) > max(SURE * error, enough) and p.name not in ("tilt_deg", "roll_deg"):
-            off[p.name] = (by, error)
+    for p, steps in zip(parameters, u_steps.tolist(), strict=True):
+        by, u = p.measured(guess) - p.measured(start), steps * p.step
+        enough = max(MIN_UNCERTAINTIES * u, MIN_OFF.get(p.name, TAPE_SDS * p.sd))
+        if abs(by) > enough and p.name not in ("tilt_deg", "roll_deg"):
+            off[p.name] = (by, u)
     # Lengths also absorb what the room has and a box lacks: they count if nothing else is wrong.
     off = {name: value for name, value in off.items() if name in MIN_OFF} or off
     gain = 1.0 - final / cost(start)
@@ -93,28 +95,30 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
     return Misplacement(hours=len(evidence))
 
 
-def warnings_of(found: Misplacement | None, setup: SiteFile) -> list[str]:
+def warnings_of(misplacement: Misplacement | None, setup: SiteFile) -> list[str]:
     """Return lines that warn of a wrong setting: what is wrong, then a remedy for each cause.
 
-    found: result of `misplacement_of`. The list is empty if nothing is certain. Nothing is
-    corrected: a wrong north must be corrected in SITE.toml, which all stages read.
+    misplacement: result of `misplacement_of`; setup: of the captures. The list is empty if nothing
+    is certain. Nothing is corrected: a wrong north must be corrected in SITE.toml, which all stages
+    read.
     """
-    if found is None or not (found.note or found.off):
+    if misplacement is None:
         return []
-    if found.note:
-        return [f"WARNING: {found.note}"]
-    words, remedies = zip(*(_advice(*item, setup) for item in found.off.items()), strict=True)
+    hours, off, gain = misplacement.hours, misplacement.off, misplacement.gain
+    if misplacement.note or not off:
+        return [f"WARNING: {misplacement.note}"] if misplacement.note else []
+    causes, remedies = zip(*(_advice(name, off[name], setup) for name in off), strict=True)
     return [
-        f"WARNING: captured sun patches are displaced from the computed ones ({found.hours} "
-        f"hours): {', '.join(words)}, which explains {found.gain:.0%} of the misfit",
-        *(f"to fix {name}: {text}" for name, text in zip(found.off, remedies, strict=True)),
+        f"WARNING: captured sun patches are displaced from the computed ones ({hours} hours): "
+        f"{', '.join(causes)}, which explains {gain:.0%} of the misfit",
+        *(f"to fix {name}: {remedy}" for name, remedy in zip(off, remedies, strict=True)),
     ]
 
 
 def _advice(name: str, off: tuple[float, float], setup: SiteFile) -> tuple[str, str]:
-    """Return what is wrong, and what to write into SITE.toml or else to do.
+    """Return a clause on what is wrong, and a remedy, such as what to write into SITE.toml.
 
-    off: correction of the parameter `name`, and its standard uncertainty.
+    off: correction of the parameter `name`, and its standard uncertainty, deg, min or m.
     """
     (by, u), room = off, setup.room
     azimuth = ((room.wall_azimuth_deg if room else 180.0) + by) % 360.0

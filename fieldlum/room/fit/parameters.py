@@ -9,7 +9,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Room
 from fieldlum.room.fit.guess import Guess, is_outside
-from fieldlum.room.scene.box_room import WALLS
+from fieldlum.room.scene.box_room import FROM_HIGH_END, WALLS
 
 # Standard deviations of values measured with a tape measure and a compass (docs/scene.md).
 NORTH_SD_DEG, CLOCK_SD_MIN, LEVEL_SD_DEG = 2.0, 5.0, 0.3
@@ -25,8 +25,9 @@ _STEP_M, _STEP_DEG, _SOLID_STEP_M, _OUTSIDE_STEP_M = 0.04, 0.5, 0.16, 0.5
 class Parameter:
     """A number of the scene that a search changes, in m, degrees, minutes or, for an albedo, 1.
 
-    path: attributes and indices that lead from a guess to the number; step: the first of the
-    search; sd: standard deviation of its prior, inf without one; minimum, maximum: limits.
+    path: attributes and indices that lead from a guess to the number, such as ("size_m", 0); step:
+    by which a search changes it at first; sd: standard deviation of its prior, inf without one;
+    minimum, maximum: limits.
     """
 
     name: str
@@ -37,7 +38,7 @@ class Parameter:
     maximum: float = np.inf
 
     def read(self, guess: Guess) -> float:
-        """Return the parameter's value in a guess, in its unit (m, degrees, minutes or none)."""
+        """Return the value in a guess, in the parameter's unit."""
         value: Any = guess
         for key in self.path:
             value = value[key] if isinstance(key, int) else getattr(value, key)
@@ -51,11 +52,11 @@ class Parameter:
         value = self.read(guess)
         if self.path[0] == "windows" and self.path[2] == "u_m":
             wall = guess.windows[int(self.path[1])].wall
-            return guess.size_m[1 - WALLS[wall][0]] - value if wall in ("south", "east") else value
+            return guess.size_m[1 - WALLS[wall][0]] - value if wall in FROM_HIGH_END else value
         return value
 
     def change(self, guess: Guess, by: float) -> Guess:
-        """Return a guess in which the number is changed by `by`, as far as its limits allow."""
+        """Return the guess with `by` added to the number, as far as its limits allow."""
         value = float(np.clip(self.read(guess) + by, self.minimum, self.maximum))
         return _with(guess, self.path, value)
 
@@ -78,45 +79,48 @@ def room_parameters(guess: Guess, clock_sd_min: float = CLOCK_SD_MIN) -> list[Pa
     sets the scale of all lengths. Nor is the room's height.
     """
     reach = CLOCK_REACH_MIN
-    sides = [max(LENGTH_SD_SHARE * side, 0.03) for side in guess.size_m]
+    width_sd_m, depth_sd_m, _ = (max(LENGTH_SD_SHARE * side, 0.03) for side in guess.size_m)
     return [
         Parameter("north_deg", ("north_deg",), _STEP_DEG, sd=NORTH_SD_DEG),
         Parameter("clock_min", ("clock_min",), 2.0, sd=clock_sd_min, minimum=-reach, maximum=reach),
         Parameter("tilt_deg", ("tilt_deg",), _STEP_DEG / 2.0, sd=LEVEL_SD_DEG),
         Parameter("roll_deg", ("roll_deg",), _STEP_DEG / 2.0, sd=LEVEL_SD_DEG),
         Parameter("wall_azimuth_deg", ("wall_azimuth_deg",), _STEP_DEG, sd=NORTH_SD_DEG),
-        Parameter("width_m", ("size_m", 0), _STEP_M, sd=sides[0]),
-        Parameter("depth_m", ("size_m", 1), _STEP_M, sd=sides[1]),
+        Parameter("width_m", ("size_m", 0), _STEP_M, sd=width_sd_m),
+        Parameter("depth_m", ("size_m", 1), _STEP_M, sd=depth_sd_m),
         Parameter("camera_x_m", ("camera_m", 0), _STEP_M, sd=CAMERA_SD_M),
         Parameter("camera_y_m", ("camera_m", 1), _STEP_M, sd=CAMERA_SD_M),
         Parameter("thickness_m", ("thickness_m",), _STEP_M, sd=THICKNESS_SD_M, minimum=0.01),
         *(
             Parameter(
-                f"window {k + 1} {of[0]}{end}", ("windows", k, of, end), _STEP_M, sd=EDGE_SD_M
+                f"window {k + 1} {span[0]}{end}", ("windows", k, span, end), _STEP_M, sd=EDGE_SD_M
             )
             for k in range(len(guess.windows))
-            for of in ("u_m", "z_m")
+            for span in ("u_m", "z_m")
             for end in (0, 1)
         ),
     ]
 
 
 def glass_parameters(guess: Guess) -> list[Parameter]:
-    """Return the transmittances of several windows; one cannot be separated from albedos."""
-    paths = [("windows", k, "transmittance") for k in range(len(guess.windows))]
-    several = paths if len(paths) > 1 else []
+    """Return the transmittances of several windows as parameters, an empty list for one window.
+
+    That of a single window cannot be separated from the albedos.
+    """
+    several = len(guess.windows) if len(guess.windows) > 1 else 0
+    limits = {"minimum": 0.05, "maximum": 0.92}
     return [
-        Parameter(f"window {p[1] + 1} glass", p, 0.1, sd=GLASS_SD, minimum=0.05, maximum=0.92)
-        for p in several
+        Parameter(f"window {k + 1} glass", ("windows", k, "transmittance"), 0.1, GLASS_SD, **limits)
+        for k in range(several)
     ]
 
 
 def bar_parameters(number: int) -> list[Parameter]:
     """Return both edges and the outer face of a bar as parameters, m; number: from 0."""
-    name = f"bar {number + 1}"
+    ends = (("low", "span_m", 0), ("high", "span_m", 1), ("out", "depth_m", 1))
     return [
-        Parameter(f"{name} {label}", ("bars", number, of, end), _STEP_M / 2.0)
-        for label, of, end in (("low", "span_m", 0), ("high", "span_m", 1), ("out", "depth_m", 1))
+        Parameter(f"bar {number + 1} {label}", ("bars", number, span, end), _STEP_M / 2.0)
+        for label, span, end in ends
     ]
 
 
@@ -129,28 +133,30 @@ def solid_parameters(guess: Guess, number: int) -> list[Parameter]:
     solid = guess.solids[number]
     outside = is_outside(guess, solid)
     step = _OUTSIDE_STEP_M if outside else _SOLID_STEP_M
-    faces = []
-    for axis, of in product(range(3), ("low_m", "high_m")):
-        if axis == 2 and of == "low_m" and solid.low_m[2] <= 0.0:
+    faces, name = [], f"solid {number + 1}"
+    for axis, corner in product(range(3), ("low_m", "high_m")):
+        if axis == 2 and corner == "low_m" and solid.low_m[2] <= 0.0:
             continue
-        beyond = axis < 2 and of == "low_m" and solid.low_m[axis] >= guess.size_m[axis]
-        before = axis < 2 and of == "high_m" and solid.high_m[axis] <= 0.0
-        minimum, maximum = guess.size_m[axis] if beyond else -np.inf, 0.0 if before else np.inf
-        name, path = f"solid {number + 1} {of[0]}{'xyz'[axis]}", ("solids", number, of, axis)
-        faces.append(Parameter(name, path, step, minimum=minimum, maximum=maximum))
-    name, path = f"solid {number + 1} albedo", ("solids", number, "albedo")
-    albedo = Parameter(name, path, 0.1, minimum=0.03, maximum=0.9)
+        minimum, maximum = -np.inf, np.inf
+        if axis < 2 and corner == "low_m" and solid.low_m[axis] >= guess.size_m[axis]:
+            minimum = guess.size_m[axis]
+        if axis < 2 and corner == "high_m" and solid.high_m[axis] <= 0.0:
+            maximum = 0.0
+        label, path = f"{name} {corner[0]}{'xyz'[axis]}", ("solids", number, corner, axis)
+        faces.append(Parameter(label, path, step, minimum=minimum, maximum=maximum))
+    path = ("solids", number, "albedo")
+    albedo = Parameter(f"{name} albedo", path, 0.1, minimum=0.03, maximum=0.9)
     return faces if outside else [*faces, albedo]
 
 
 def all_parameters(guess: Guess, of_room: list[Parameter]) -> list[Parameter]:
-    """Return the parameters of the room, its bars and its solids."""
+    """Return `of_room`, those of the room itself, and the parameters of all bars and solids."""
     bars = [p for k in range(len(guess.bars)) for p in bar_parameters(k)]
     solids = [p for k in range(len(guess.solids)) for p in solid_parameters(guess, k)]
     return [*of_room, *bars, *solids]
 
 
 def stated_albedo(room: Room) -> Floats:
-    """Return stated albedos, 0 to 1, of west, east, south, north, floor and ceiling, [6]."""
+    """Return the stated albedos of west, east, south and north wall, floor and ceiling, [6]."""
     walls = [room.reflectance_walls] * 4
     return np.array([*walls, room.reflectance_floor, room.reflectance_ceiling])

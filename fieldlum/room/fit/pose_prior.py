@@ -19,7 +19,7 @@ from fieldlum.sky.sky_view.measured_discs import (
 
 # uncertainty of an equidistant model without a lens calibration; chosen, not measured
 _LENS_SCALE_SD = 0.01
-# names in `sun_discs.NAMES`, in the order of `POSE_NAMES`
+# names in `measured_discs.NAMES`, in the order of `POSE_NAMES`
 _FITTED = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")
 
 
@@ -34,7 +34,7 @@ class PosePrior:
     covariance: Floats
 
     def deviations(self, guess: Guess) -> Floats:
-        """Return the guess's pose and clock off the mean, in standard deviations [4].
+        """Return how far a guess's pose and clock are from the mean, in standard deviations [4].
 
         Their squares add up to the squared Mahalanobis distance.
         """
@@ -64,7 +64,7 @@ def pose_of(
 def prior_of(pose: PoseFit) -> PosePrior:
     """Return the fitted north, tilt, roll and clock as a prior of the search.
 
-    0.02 degrees of lens and mount are added (in quadrature) to the uncertainties of the three
+    The uncertainty of lens and mount, 0.02 degrees, is added (in quadrature) to those of the three
     angles.
     """
     rows = [NAMES.index(name) for name in _FITTED]
@@ -73,9 +73,9 @@ def prior_of(pose: PoseFit) -> PosePrior:
 
 
 def pose_note(pose: PoseFit, discs: int) -> str:
-    """Return a sentence on the fitted pose and clock, from `discs` discs.
+    """Return a sentence with the fitted pose and clock, their uncertainties and the residual.
 
-    It has values with uncertainties, the residual, and the number of gross errors.
+    discs: number of measured discs, including those that were omitted as gross errors.
     """
     differences = ", ".join(
         f"{kind} {pose[name]:+.2f} +- {pose.u[name]:.2f} {unit}"

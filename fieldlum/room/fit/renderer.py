@@ -20,9 +20,9 @@ Array = NDArray[np.floating]
 
 # Surfaces of the shell: twice the axis of the normal, plus one at the high end.
 WEST, EAST, SOUTH, NORTH, FLOOR, CEILING = range(6)
-SHELL = 6  # solids are numbered from here on
+SHELL = 6  # number of the shell's surfaces; solids have the numbers from here on
 OUTSIDE = -1  # a ray that leaves through a window
-_THICK_M = 1.0  # of boxes around the room; chosen, no ray passes them
+_THICK_M = 1.0  # thickness of the boxes around the room; chosen, no ray passes them
 
 
 @dataclass(frozen=True)
@@ -43,16 +43,18 @@ class Surfaces:
 
 
 def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces:
-    """Return where rays [r, 3] of the picture, in stated world axes, end in the guess.
+    """Return where camera rays end in the guess.
 
-    World axes: x east, y north, z up by the stated heading. spread: angle between neighbouring rays
-    [rad]; 0 gives patches with hard edges. A ray through a window ends at the wall's inner face.
+    rays_world: unit vectors [r, 3] in stated world axes: x east, y north, z up by the stated
+    heading. spread: angle between neighbouring rays [rad]; 0 gives patches with hard edges. A ray
+    through a window ends at the wall's inner face.
     """
     rays = np.ascontiguousarray(rays_world @ guess.camera_turn.T)
     eye = np.ascontiguousarray(np.broadcast_to(np.array(guess.camera_m), rays.shape))
     boxes, axes = SHELL + len(guess.solids), np.arange(3)
     low = np.full((boxes, 3), -_THICK_M)
     high = np.tile(np.array(guess.size_m) + _THICK_M, (boxes, 1))
+    # shell: the box at the low end of each axis ends at 0, that at the high end begins at the size
     high[2 * axes, axes], low[2 * axes + 1, axes] = 0.0, guess.size_m
     for k, solid in enumerate(guess.solids, start=SHELL):
         low[k], high[k] = solid.low_m, solid.high_m
@@ -72,11 +74,12 @@ def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces
 def unit_patches(
     guess: Guess, ends: Surfaces, suns_room: Array, pixel: NDArray[np.intp], sub: int, tone: Array
 ) -> Array:
-    """Return irradiance of pixels' surfaces times tone, per lx of the sun on its normal, [n, m].
+    """Return the sun patches of n suns in m pixels, per lx on the sun's normal, [n, m].
 
-    ends: of r rays; suns_room: unit vectors in room axes [n, 3]; pixel: index of each ray's pixel
-    [r]; sub x sub rays make a pixel. tone: a factor of each ray, such as albedo [r]. Times the
-    sun's illuminance over pi, the result is the luminance of the sun patch.
+    A pixel has the mean, over its rays, of tone x cosine x glass x visible share of the sun. Times
+    the sun's illuminance over pi it is the luminance of the sun patch. ends: of r rays; suns_room:
+    unit vectors in room axes [n, 3]; pixel: index of each ray's pixel [r]; sub x sub rays make a
+    pixel; tone: a factor of each ray, such as albedo [r].
     """
     total = np.zeros((len(suns_room), len(pixel) // sub**2))
     weight = tone / float(sub**2)

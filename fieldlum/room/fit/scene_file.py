@@ -19,12 +19,13 @@ class Scene:
     """A fitted scene as `train` uses it.
 
     room: the fitted box relative to true north. north_deg: how far room and camera are turned
-    clockwise from the stated direction; clock_min: stated time less true time. before, after, u:
-    values and standard uncertainties by parameter. hours: number of sunny hours. misfit: by "none",
-    "stated" and "fitted", the share of pixels near sun patches that this geometry leaves wrong in
-    the sunny hours. chosen: the geometry that the captures support; verdict: why; trusted: whether
-    enough hours support it. stated_heading_deg, stated_room: the start of the fit. A scene is used
-    only with captures that state the same, otherwise a correction would be applied twice.
+    clockwise from the stated direction; clock_min: stated time minus true time. before, after, u:
+    stated and fitted values and standard uncertainties, by the parameter's name. hours: number of
+    sunny hours. misfit: for the geometries "none", "stated" and "fitted", the share of pixels that
+    are wrong with it in the sunny hours. chosen: the geometry that the captures support; verdict:
+    why; trusted: whether enough hours support it. stated_heading_deg, stated_room: the start of the
+    fit. A scene is used only with captures that state the same, otherwise a correction would be
+    applied twice.
     """
 
     north_deg: float
@@ -57,8 +58,8 @@ def write_scene(folder: Path, scene: Scene) -> Path:
 def read_scene(folder: Path) -> Scene:
     """Read the scene.toml of a folder.
 
-    Raises InputError for one that is missing, no valid TOML, of another format number, or with
-    missing, unknown or wrong entries.
+    Raises InputError if it is missing, not valid TOML, of another format number, or has missing,
+    unknown or wrong entries.
     """
     path = folder / SCENE_TOML
     if not path.is_file():

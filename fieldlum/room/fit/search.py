@@ -1,4 +1,4 @@
-"""Search numbers of a scene: damped least squares on one robust cost with the tape's priors."""
+"""Search the numbers of a scene: damped least squares on a robust misfit plus the tape's priors."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from fieldlum.room.fit.parameters import POSE_NAMES, Parameter
 if TYPE_CHECKING:
     from fieldlum.room.fit.pose_prior import PosePrior
 
-# Of the stated misfit: what one standard deviation of one number must pay, with `PRIOR_HOURS` sunny
-# hours or more: nine days have 25 to 60. With a quarter of it a room with a blind moved the clock
-# by 10 minutes and north by 2 degrees, because boxes lack what rooms have (docs/validation.md).
+# Cost of one standard deviation of one number, as a share of the stated misfit, with `PRIOR_HOURS`
+# sunny hours or more: nine days have 25 to 60. With a quarter of it a room with a blind moved the
+# clock by 10 minutes and north by 2 degrees, because boxes lack what rooms have
+# (docs/validation.md).
 PRIOR_SHARE, PRIOR_HOURS = 0.006, 30
-# Chosen: shares of the parameters' steps over which derivatives are taken, one after the other;
-# rounds with each; longest move, in such steps; share of the cost below which a gain is noise.
-LEVELS = (1.0, 0.4, 0.15)
-_ROUNDS, _REACH, _MIN_GAIN = 5, 3.0, 1e-3
+# Chosen: shares of the parameters' steps over which derivatives are taken, from coarse to fine;
+# rounds with each; longest move of a round, in such steps; share of the cost below which a gain is
+# noise; first damping, and how often a round tries a damping four times as large.
+STEP_SHARES = (1.0, 0.4, 0.15)
+_ROUNDS, _MAX_STEPS, _MIN_GAIN = 5, 3.0, 1e-3
 _FIRST_DAMPING, _TRIES = 0.1, 5
 
 
@@ -32,13 +34,14 @@ def prior_unit(evidence: SceneEvidence, start: Guess, albedo: Floats) -> float:
 
     albedo: of the room's surfaces, as for `SceneEvidence.patches` [6].
     """
-    few = max(1.0, PRIOR_HOURS / len(evidence))  # because the misfit is a mean over hours
-    return few * PRIOR_SHARE * float(evidence.misfit(evidence.patches(start, albedo)).mean())
+    # the misfit is a mean over hours: with fewer of them, the prior counts more
+    factor = max(1.0, PRIOR_HOURS / len(evidence))
+    return factor * PRIOR_SHARE * float(evidence.misfit(evidence.patches(start, albedo)).mean())
 
 
 @dataclass(frozen=True, slots=True)
 class SceneCost:
-    """Misfit plus prior of a guess, as a sum of squares.
+    """Cost of a guess: its misfit to the evidence plus a prior, as a sum of squares.
 
     start: the stated guess; parameters: those that have a prior; albedo: of west, east, south and
     north wall, floor, ceiling [6]; unit: cost of one standard deviation of one parameter; pose:
@@ -53,12 +56,12 @@ class SceneCost:
     pose: PosePrior | None = None
 
     def __call__(self, guess: Guess) -> float:
-        """Return the cost of a guess; infinite for an impossible one."""
-        found = self.residuals(guess)
-        return np.inf if found is None else float(found @ found)
+        """Return the cost of a guess (no unit); infinite for an impossible one."""
+        residuals = self.residuals(guess)
+        return np.inf if residuals is None else float(residuals @ residuals)
 
     def by_hour(self, guess: Guess) -> Floats:
-        """Return the misfit of each hour, with its share of the prior's cost, [n]."""
+        """Return the misfit of each hour plus the prior's cost, [n]; their mean is the cost."""
         prior = self.prior(guess)
         misfit = self.evidence.misfit(self.evidence.patches(guess, self.albedo))
         return misfit + float(prior @ prior)
@@ -66,7 +69,7 @@ class SceneCost:
     def residuals(self, guess: Guess) -> Floats32 | None:
         """Return numbers [q] whose squares add up to the cost; None for an impossible guess.
 
-        First are those of each hour and pixel, then the priors.
+        First are those of n hours at m pixels, hour by hour, then those of the prior.
         """
         if not is_possible(guess):
             return None
@@ -76,48 +79,51 @@ class SceneCost:
         return np.concatenate([misfit.ravel(), self.prior(guess)]).astype(np.float32)
 
     def prior(self, guess: Guess) -> Floats:
-        """Return deviations [q] from the stated numbers, whose squares are their cost.
+        """Return a guess's weighted deviations from the stated numbers; their squares are its cost.
 
-        If sun discs determined a pose, north, tilt, roll and clock are compared with that pose
-        instead: they count by their squared Mahalanobis distance from it.
+        [q], one for each parameter. If sun discs determined a pose, north, tilt, roll and clock are
+        compared with that pose instead: they count by their squared Mahalanobis distance from it.
         """
         by_disc = POSE_NAMES if self.pose is not None else ()
-        off = [
+        deviations = [
             (p.measured(guess) - p.measured(self.start)) / p.sd
             for p in self.parameters
             if p.name not in by_disc
         ]
         if self.pose is not None:
-            off += self.pose.deviations(guess).tolist()
-        return np.sqrt(self.unit) * np.array(off)
+            deviations += self.pose.deviations(guess).tolist()
+        return np.sqrt(self.unit) * np.array(deviations)
 
 
 def search(
-    cost: SceneCost, guess: Guess, parameters: Sequence[Parameter], levels: Sequence[float] = LEVELS
+    cost: SceneCost,
+    guess: Guess,
+    parameters: Sequence[Parameter],
+    step_shares: Sequence[float] = STEP_SHARES,
 ) -> tuple[Guess, float]:
     """Search the guess of the smallest cost from a start; return it and its cost (no unit).
 
     parameters: what of the guess is changed. Levenberg-Marquardt: derivatives are differences over
-    shares of the parameters' steps, which `levels` lists. A finer level follows when a round gains
-    less than 0.1 % of the cost.
+    shares of the parameters' steps. The next of `step_shares` follows when a round gains less than
+    0.1 % of the cost.
     """
-    off = cost.residuals(guess)
-    if off is None:
+    residuals = cost.residuals(guess)
+    if residuals is None:
         return guess, np.inf
-    value = float(off @ off)
-    for level in levels:
+    value = float(residuals @ residuals)
+    for share in step_shares:
         damping = _FIRST_DAMPING
         for _ in range(_ROUNDS):
-            slopes = _slopes(cost, guess, parameters, off, level)
-            normal, downhill = (slopes @ slopes.T).astype(float), (slopes @ off).astype(float)
+            slopes = _slopes(cost, guess, parameters, residuals, share)
+            normal, gradient = (slopes @ slopes.T).astype(float), (slopes @ residuals).astype(float)
             scale = np.diag(np.diag(normal) + 1e-4 * max(np.diag(normal).mean(), 1e-12))
             before = value
             for _ in range(_TRIES):
-                step = -np.linalg.solve(normal + damping * scale, downhill)
-                trial = stepped(guess, parameters, level * np.clip(step, -_REACH, _REACH))
+                steps = -np.linalg.solve(normal + damping * scale, gradient)
+                trial = stepped(guess, parameters, share * np.clip(steps, -_MAX_STEPS, _MAX_STEPS))
                 tried = cost.residuals(trial)
                 if tried is not None and float(tried @ tried) < value:
-                    guess, off, value = trial, tried, float(tried @ tried)
+                    guess, residuals, value = trial, tried, float(tried @ tried)
                     damping = max(damping / 4.0, 1e-3)
                     break
                 damping *= 4.0
@@ -134,41 +140,46 @@ def stepped(guess: Guess, parameters: Sequence[Parameter], steps: Floats) -> Gue
 
 
 def _slopes(
-    cost: SceneCost, guess: Guess, parameters: Sequence[Parameter], found: Floats32, level: float
+    cost: SceneCost,
+    guess: Guess,
+    parameters: Sequence[Parameter],
+    residuals: Floats32,
+    step_share: float,
 ) -> Floats32:
-    """Return by how much the residuals change with `level` of each parameter's step, [k, r].
+    """Return by how much q residuals change with a share of each of k parameters' steps, [k, q].
 
-    found: residuals of the guess, used where a changed one is impossible.
+    residuals: those of the guess [q], which also replace those of a changed guess that is
+    impossible; step_share: of `Parameter.step`.
     """
-    slopes = np.empty((len(parameters), len(found)), np.float32)
+    slopes = np.empty((len(parameters), len(residuals)), np.float32)
     for row, p in zip(slopes, parameters, strict=True):
-        ends = (cost.residuals(p.change(guess, sign * level * p.step)) for sign in (1.0, -1.0))
-        up, down = (found if end is None else end for end in ends)
+        ends = (cost.residuals(p.change(guess, sign * step_share * p.step)) for sign in (1.0, -1.0))
+        up, down = (residuals if end is None else end for end in ends)
         row[:] = (up - down) / np.float32(2.0)
     return slopes
 
 
 def covariance(cost: SceneCost, guess: Guess, parameters: Sequence[Parameter]) -> Floats:
-    """Return the covariance of parameters at the cheapest guess, in steps squared [k, k].
+    """Return the covariance of k parameters at the cheapest guess, in steps squared [k, k].
 
     guess: the one with the lowest cost; a parameter's step is its `Parameter.step`. The covariance
     is the sum of two. The first is by priors and noise: a displacement of one standard deviation
     raises the cost by `cost.unit`. The second is by the scatter of the cost's gradient between
     days, or between hours with under three days (sandwich estimator).
     """
-    found = cost.residuals(guess)
-    assert found is not None
-    level = LEVELS[-1]
-    slopes = _slopes(cost, guess, parameters, found, level).astype(float)
+    residuals = cost.residuals(guess)
+    assert residuals is not None
+    share = STEP_SHARES[-1]
+    slopes = _slopes(cost, guess, parameters, residuals, share).astype(float)
     inverse = np.linalg.pinv(slopes @ slopes.T, hermitian=True)
     hours = len(cost.evidence)
-    count = cost.evidence.log_seen.size
-    by_hour = slopes[:, :count] * found[:count]
-    by_hour = by_hour.reshape(len(slopes), hours, -1).sum(axis=2)  # [k, n]
-    days, which = np.unique(cost.evidence.days, return_inverse=True)
+    count = cost.evidence.log_seen.size  # residuals of the evidence; those of the prior follow
+    gradient = slopes[:, :count] * residuals[:count]
+    gradient = gradient.reshape(len(slopes), hours, -1).sum(axis=2)  # [k, n]
+    days, group = np.unique(cost.evidence.days, return_inverse=True)
     if len(days) < 3:
-        which = np.arange(hours)
-    scores = np.stack([np.bincount(which, row) for row in by_hour])  # [k, days]
+        group = np.arange(hours)
+    scores = np.stack([np.bincount(group, row) for row in gradient])  # [k, days]
     scores -= scores.mean(axis=1, keepdims=True)
     spread = scores @ scores.T * scores.shape[1] / max(scores.shape[1] - 1, 1)
-    return level**2 * (cost.unit * inverse + inverse @ spread @ inverse)
+    return share**2 * (cost.unit * inverse + inverse @ spread @ inverse)

@@ -24,14 +24,14 @@ from fieldlum.sky.sky_view.measured_discs import read_discs
 def run(
     data: Dataset, out: Path, *, clock_sd_min: float = CLOCK_SD_MIN
 ) -> tuple[Scene, list[Path]]:
-    """Fit the scene of captures and write scene.toml, overlay.png and plan.svg; return their paths.
+    """Fit the scene of captures and write scene.toml, overlay.png and plan.svg.
 
-    out: the folder, created if needed. Centres of the sun's disc that merge measured are used if
-    there are at least three. clock_sd_min: standard uncertainty of the captures' times. Raises
-    InputError without a `[room]`, for one that is not a box, has no window or is impossible, for
-    captures that contradict it (`checks.check_captures`), and for a damaged sidecar;
-    NotEnoughDataError for fewer than six captures with direct sun on a window. Nothing is written
-    then.
+    Return the scene and the paths of the files. out: the folder, created if needed. Centres of the
+    sun's disc that merge measured are used if there are at least three. clock_sd_min: standard
+    uncertainty of the captures' times. Raises InputError without a `[room]`, for one that is not a
+    box, has no window or is impossible, for captures that contradict it (`checks.check_captures`),
+    and for a damaged sidecar; NotEnoughDataError for fewer than six captures with direct sun on a
+    window. Nothing is written then.
     """
     room = data.setup.room
     if room is None:
@@ -43,52 +43,52 @@ def run(
     discs = read_discs(Session(Path(data.source).parent))
     pose = pose_of(discs, data.setup.site, data.heading_deg, clock_sd_min)
     fitted = fit_scene(data, room, pose=pose and prior_of(pose), clock_sd_min=clock_sd_min)
-    notes = [] if pose is None else [pose_note(pose, len(discs))]
     scene = judged_scene(data, fitted)
-    scene = replace(scene, notes=(*notes, *scene.notes))
+    if pose is not None:
+        scene = replace(scene, notes=(pose_note(pose, len(discs)), *scene.notes))
     pictures = draw(out, data, fitted)
     return scene, [write_scene(out, scene), *pictures]
 
 
 def judged_scene(data: Dataset, fitted: Scene) -> Scene:
-    """Return a fitted scene with the geometry of the smallest misfit.
+    """Return a fitted scene with its verdict: the geometry of the smallest misfit.
 
     It is trusted if there are enough sunny hours (`why_untrusted`). data: the captures of the fit.
     """
     chosen, reason = choose_geometry(fitted.misfit)
-    why = why_untrusted(data, fitted.stated_room, fitted.hours)
-    notes = (*fitted.notes, why) if why else fitted.notes
-    return replace(fitted, chosen=chosen, verdict=reason, trusted=not why, notes=notes)
+    doubt = why_untrusted(data, fitted.stated_room, fitted.hours)
+    notes = (*fitted.notes, doubt) if doubt else fitted.notes
+    return replace(fitted, chosen=chosen, verdict=reason, trusted=not doubt, notes=notes)
 
 
 # ----------------------------------------------------------------------------------------------
 # the verdict
 
 # Chosen: suns closer than this are one direction; neighbouring hours are 12 to 15 degrees apart.
-BLOCK_DEG = 9.0
+SAME_DIRECTION_DEG = 9.0
 # Chosen: fewer clear hours or directions of the sun do not confirm a scene.
 MIN_CLEAR_HOURS, MIN_DIRECTIONS = 18, 3
-# Chosen: a scene that leaves more than this share of the misfit without patches lacks something.
+# Chosen: a scene with a larger misfit, as a share of that without patches, lacks something.
 MAX_UNEXPLAINED = 0.5
 
 
 def directions_apart(suns: Floats) -> int:
-    """Return the number of suns that are at least BLOCK_DEG from each one counted before.
+    """Return the number of suns that are at least 9 degrees from each one counted before.
 
     suns: unit vectors [n, 3], counted in their order.
     """
     apart = suns[:1]
     for sun in suns[1:]:
-        if (apart @ sun).max() < np.cos(np.radians(BLOCK_DEG)):
+        if (apart @ sun).max() < np.cos(np.radians(SAME_DIRECTION_DEG)):
             apart = np.vstack([apart, sun])
     return len(apart)
 
 
 def why_untrusted(data: Dataset, room: Room, hours: int) -> str:
-    """Return why sunny hours cannot confirm a scene; empty if they can.
+    """Return a sentence on why sunny hours cannot confirm a scene; empty if they can.
 
-    They are too few, or have fewer than three different directions of the sun. hours: that the fit
-    used.
+    They cannot if they are too few, or have fewer than three different directions of the sun. room:
+    the stated one; hours: number that the fit used.
     """
     sunny = sunny_hours(data, room)
     directions = directions_apart(data.light.sun_direction[sunny])

@@ -34,10 +34,10 @@ FROM_HIGH_END = ("south", "east")
 WALL_TURN_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
 
 
-# Three products, added in the order x, y, z: a BLAS library adds in another order for another
-# number of rows, and files that a resumed run writes again must be equal bit by bit.
 def turned(matrix: ArrayLike, vectors: ArrayLike) -> Floats:
     """Return matrix [3, 3] times each of the direction vectors [..., 3]."""
+    # Three products, added in the order x, y, z: a BLAS library adds in another order for another
+    # number of rows, and files that a resumed run writes again must be equal bit by bit.
     rows = np.asarray(matrix, np.float64)
     x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
     return np.stack([r[0] * x + r[1] * y + r[2] * z for r in rows], axis=-1)
@@ -55,20 +55,21 @@ def transmissivity(transmittance: float) -> float:
 
 
 def glass_optics(transmittance: float, cosine: ArrayLike) -> tuple[Floats, Floats]:
-    """Return transmittance and reflectance of a pane, 0 to 1, [...] each.
+    """Return transmittance and reflectance of a pane at an angle of incidence, 0 to 1, [...] each.
 
     transmittance : at normal incidence. cosine : of the angle of incidence [...]. Source:
     Radiance's m_glass.c.
     """
-    cos1 = np.maximum(np.abs(np.asarray(cosine, float)), 1e-6)
-    cos2 = np.sqrt((1 - 1 / INDEX**2) + (cos1 / INDEX) ** 2)
-    path = transmissivity(transmittance) ** (1 / cos2)
-    through, back = np.zeros_like(cos1), np.zeros_like(cos1)
-    for a, b in ((cos1, INDEX * cos2), (1 / cos1, INDEX / cos2)):
+    outside = np.maximum(np.abs(np.asarray(cosine, float)), 1e-6)  # cosines in air and in glass
+    within = np.sqrt((1 - 1 / INDEX**2) + (outside / INDEX) ** 2)
+    path = transmissivity(transmittance) ** (1 / within)  # the share that one way through leaves
+    passed, mirrored = np.zeros_like(outside), np.zeros_like(outside)
+    # Fresnel's reflectance r of one face for both polarisations, with all bounces between the faces
+    for a, b in ((outside, INDEX * within), (1 / outside, INDEX / within)):
         r = ((a - b) / (a + b)) ** 2
-        through += 0.5 * (1 - r) ** 2 * path / (1 - (r * path) ** 2)
-        back += 0.5 * r * (1 + (1 - 2 * r) * path**2) / (1 - (r * path) ** 2)
-    return through, back
+        passed += 0.5 * (1 - r) ** 2 * path / (1 - (r * path) ** 2)
+        mirrored += 0.5 * r * (1 + (1 - 2 * r) * path**2) / (1 - (r * path) ** 2)
+    return passed, mirrored
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,16 +192,14 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
     outside the room or inside an obstruction, a reflectance below 0 or not below 1, a
     transmittance not above 0 or over 0.92, or no pane.
     """
-    size = np.array([room.width_m, room.depth_m, room.height_m])
-    eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
-    for wrong, place, found, expected in _faults(room, size, eye):
-        if wrong:
+    for is_wrong, place, found, expected in _checks(room):
+        if is_wrong:
             raise InputError(f"{where}{place}", found, expected, "correct the [room] of the site")
     openings = tuple(_opening(room, window, where) for window in room.window)
     _check_overlap(openings, where)
-    t = room.wall_thickness_m
-    low = (-t, -t, -SLAB_M)  # corners of the building
-    high = (room.width_m + t, room.depth_m + t, room.height_m + ROOF_M)
+    wall_m = room.wall_thickness_m
+    low = (-wall_m, -wall_m, -SLAB_M)  # corners of the building
+    high = (room.width_m + wall_m, room.depth_m + wall_m, room.height_m + ROOF_M)
     boxes = [
         Box(low, (high[0], high[1], 0.0), room.reflectance_floor, "floor"),
         Box((low[0], low[1], room.height_m), high, room.reflectance_ceiling, "ceiling"),
@@ -210,18 +209,17 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
     for o in room.obstruction:
         far = (o.x_m + o.width_m, o.y_m + o.depth_m, o.z_m + o.height_m)
         boxes.append(Box((o.x_m, o.y_m, o.z_m), far, o.reflectance, "obstruction"))
-    r = GROUND_REACH_M
-    far = (room.width_m + r, room.depth_m + r, -SLAB_M)
-    boxes.append(Box((-r, -r, -1.0), far, room.reflectance_ground, "ground"))
+    far = (room.width_m + GROUND_REACH_M, room.depth_m + GROUND_REACH_M, -SLAB_M)
+    near = (-GROUND_REACH_M, -GROUND_REACH_M, -1.0)
+    boxes.append(Box(near, far, room.reflectance_ground, "ground"))
     camera_m = (room.camera_x_m, room.camera_y_m, room.camera_z_m)
     return BoxScene(tuple(boxes), openings, camera_m, (low, high), room.wall_azimuth_deg)
 
 
-def _faults(room: Room, size: Floats, eye: Floats) -> Iterator[tuple[bool, str, str, str]]:
-    """Yield what could be wrong in a room: whether it is, the place, what was found and expected.
-
-    size: width, depth, height; eye: x, y, z of the camera, m.
-    """
+def _checks(room: Room) -> Iterator[tuple[bool, str, str, str]]:
+    """Yield the checks of a room: whether it is wrong, the place, what was found and expected."""
+    size = np.array([room.width_m, room.depth_m, room.height_m])
+    eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
     yield room.kind != "box", "", f"kind '{room.kind}'", "kind 'box'"
     flat = not (size > 0).all() or room.wall_thickness_m <= 0
     yield flat, "", "a size of zero or less", "width, depth, height and wall thickness above 0"
@@ -232,28 +230,32 @@ def _faults(room: Room, size: Floats, eye: Floats) -> Iterator[tuple[bool, str, 
         value = getattr(room, f"reflectance_{name}")
         yield not 0 <= value < 1, "", f"reflectance_{name} = {value:g}", "0 to below 1"
     for k, o in enumerate(room.obstruction, start=1):
-        at, wide = np.array([o.x_m, o.y_m, o.z_m]), np.array([o.width_m, o.depth_m, o.height_m])
-        place, r = f" obstruction {k}", o.reflectance
-        yield not 0 <= r < 1, place, f"reflectance = {r:g}", "0 to below 1"
-        yield bool((wide <= 0).any()), place, "a size of zero or less", "sizes above 0"
-        within = bool(((at < eye) & (eye < at + wide)).all())
+        low, edges = np.array([o.x_m, o.y_m, o.z_m]), np.array([o.width_m, o.depth_m, o.height_m])
+        place, found = f" obstruction {k}", f"reflectance = {o.reflectance:g}"
+        yield not 0 <= o.reflectance < 1, place, found, "0 to below 1"
+        yield bool((edges <= 0).any()), place, "a size of zero or less", "sizes above 0"
+        within = bool(((low < eye) & (eye < low + edges)).all())
         yield within, place, "the camera is inside it", "a camera outside of all obstructions"
-    for k, w in enumerate(room.window, start=1):
-        found = f"transmittance {w.transmittance:g}, panes {w.panes}"
+    for k, window in enumerate(room.window, start=1):
+        is_wrong = not 0 < window.transmittance <= 0.92 or window.panes < 1
+        found = f"transmittance {window.transmittance:g}, panes {window.panes}"
         expected = "transmittance above 0 up to .92 (clear float glass), panes 1 or more"
-        yield not 0 < w.transmittance <= 0.92 or w.panes < 1, f" window {k}", found, expected
+        yield is_wrong, f" window {k}", found, expected
 
 
 def wall_named(wall: str, wall_azimuth_deg: float) -> str:
-    """Return a wall by the compass, with the room's own word, such as ``N wall ("south")``.
+    """Return the name of a wall by the compass and in the room, such as ``N wall ("south")``.
 
-    wall_azimuth_deg: that the "south" wall faces.
+    wall: its name in the room; wall_azimuth_deg: azimuth that the "south" wall faces.
     """
     return f'{compass_name(wall_azimuth_deg + WALL_TURN_DEG[wall])} wall ("{wall}")'
 
 
 def _opening(room: Room, window: Window, where: str) -> Opening:
-    """Return the hole of a window in its wall. Raises InputError for one outside of the wall."""
+    """Return the hole of a window in its wall.
+
+    Raises InputError for a window that is not within its wall; where: the room, for the error.
+    """
     axis, side = WALLS[window.wall]
     length = room.width_m if axis == 1 else room.depth_m
     top = window.sill_m + window.height_m
@@ -282,7 +284,7 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
 
 
 def _faces_m(room: Room, wall: str) -> Span:
-    """Return the inside and the outside of a wall along the axis of its normal, m."""
+    """Return the coordinates of a wall's inner and outer face along the axis of its normal, m."""
     axis, side = WALLS[wall]
     inner = side * (room.width_m, room.depth_m)[axis]
     return inner, inner + (2 * side - 1) * room.wall_thickness_m
@@ -291,12 +293,12 @@ def _faces_m(room: Room, wall: str) -> Span:
 def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
     """Raise InputError for two windows of one wall that overlap; where: the room, for the error."""
 
-    def overlap(one: Span, other: Span) -> bool:
-        return one[0] < other[1] - _ROUNDING_M and other[0] < one[1] - _ROUNDING_M
+    def overlap(first: Span, other: Span) -> bool:
+        return first[0] < other[1] - _ROUNDING_M and other[0] < first[1] - _ROUNDING_M
 
-    for (j, one), (k, other) in combinations(enumerate(openings, start=1), 2):
-        same_wall = (one.axis, one.outward) == (other.axis, other.outward)
-        if same_wall and overlap(one.u_m, other.u_m) and overlap(one.z_m, other.z_m):
+    for (j, first), (k, other) in combinations(enumerate(openings, start=1), 2):
+        same_wall = (first.axis, first.outward) == (other.axis, other.outward)
+        if same_wall and overlap(first.u_m, other.u_m) and overlap(first.z_m, other.z_m):
             found, expected = f"windows {j} and {k} of one wall overlap", "separate windows"
             raise InputError(where, found, expected, "correct left_m, width_m, sill_m or height_m")
 
@@ -304,14 +306,14 @@ def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
 def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterator[Box]:
     """Yield a wall without its windows, as vertical strips between the windows' edges.
 
-    room, openings: as for `build`; wall: one of `WALLS`. u is along the wall, n across it, z up.
-    The ends of the strips are the reveals.
+    openings: of all the room's windows; wall: one of `WALLS`. u is along the wall, n across it, z
+    up. The ends of the strips are the reveals.
     """
     axis, side = WALLS[wall]
     holes = [o for o in openings if (o.axis, o.outward) == (axis, 2 * side - 1)]
-    t = room.wall_thickness_m
     # South and north walls include the corners; west and east walls are between them.
-    first, last = (-t, room.width_m + t) if axis == 1 else (0.0, room.depth_m)
+    corner_m = room.wall_thickness_m
+    first, last = (-corner_m, room.width_m + corner_m) if axis == 1 else (0.0, room.depth_m)
     n0, n1 = sorted(_faces_m(room, wall))
     edges = sorted({first, last, *(u for o in holes for u in o.u_m)})
     for u0, u1 in pairwise(edges):
@@ -339,8 +341,8 @@ def _frame(room: Room, window: Window, o: Opening) -> Iterator[Box]:
     o: the window's opening; n is across the wall, u along it, z up. Rails are between the outer
     posts.
     """
-    posts, rails, half = window_bars(window, o, room.wall_thickness_m)
-    n = (o.pane_m - half, o.pane_m + half)
+    posts, rails, half_m = window_bars(window, o, room.wall_thickness_m)
+    n = (o.pane_m - half_m, o.pane_m + half_m)
     for u in posts:
         yield upright(o.axis, n, u, o.z_m, room.reflectance_frame, "frame")
     between = (o.u_m[0] + window.frame_m, o.u_m[1] - window.frame_m)
@@ -351,19 +353,20 @@ def _frame(room: Room, window: Window, o: Opening) -> Iterator[Box]:
 def window_bars(
     window: Window, opening: Opening, wall_thickness_m: float
 ) -> tuple[list[Span], list[Span], float]:
-    """Return the spans [m] of a window's posts along the wall, of its rails in height, and a depth.
+    """Return a window's posts (spans along the wall), its rails (in height), and half their depth.
 
     Posts are the frame's two and those between panes, rails the frame's two and the transom; none
-    without a frame. The third is half of the depth of each, which is as deep as it is wide.
+    without a frame. Each is as deep across the wall as it is wide, but at most 0.9 of the wall. All
+    in m.
     """
-    f = window.frame_m
-    if f <= 0:
+    wide = window.frame_m
+    if wide <= 0:
         return [], [], 0.0
     (u0, u1), (z0, z1) = opening.u_m, opening.z_m
-    pane = (u1 - u0) / window.panes
-    posts = [(u0, u0 + f), (u1 - f, u1)]
-    posts += [(u0 + k * pane - f / 2, u0 + k * pane + f / 2) for k in range(1, window.panes)]
-    rails = [(z0, z0 + f), (z1 - f, z1)]
+    middles = [u0 + k * ((u1 - u0) / window.panes) for k in range(1, window.panes)]
+    posts = [(u0, u0 + wide), (u1 - wide, u1)]
+    posts += [(u - wide / 2, u + wide / 2) for u in middles]
+    rails = [(z0, z0 + wide), (z1 - wide, z1)]
     if z0 < window.transom_m < z1:
-        rails.append((window.transom_m - f / 2, window.transom_m + f / 2))
-    return posts, rails, min(f, 0.9 * wall_thickness_m) / 2
+        rails.append((window.transom_m - wide / 2, window.transom_m + wide / 2))
+    return posts, rails, min(wide, 0.9 * wall_thickness_m) / 2

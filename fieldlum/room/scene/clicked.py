@@ -23,7 +23,7 @@ from fieldlum.room.scene.box_room import FROM_HIGH_END, WALLS, room_axes
 
 # standard uncertainty of a careful click on a zoomed picture; chosen, not measured with people
 CLICK_PX = 0.5
-# a click this far from the fitted room is named: six times a careful click; chosen
+# a click farther than this from the fitted room gets a note: six times `CLICK_PX`; chosen
 _MISFIT_PX = 3.0
 _HORIZON_DEG = 0.5  # a corner nearer to the horizon is no corner of floor or ceiling; chosen
 _MIN_WINDOW_M = 0.02  # corners closer than this are one corner; chosen
@@ -37,9 +37,9 @@ COLUMNS = ("kind", "window", "x_px", "y_px")
 class Click:
     """A click on a panorama, on a corner, a bar or a transom of a room.
 
-    kind: floor, ceiling or window (a corner), bar or transom. window: number from 1, 0 for corners
-    of the room. x_px, y_px: from the panorama's upper left corner. line: of the csv, or the number
-    of the click.
+    kind: floor, ceiling or window for one of its corners, bar or transom. window: number from 1, 0
+    for corners of the room. x_px, y_px: from the panorama's upper left corner. line: of the csv, or
+    the number of the click.
     """
 
     kind: Kind
@@ -101,9 +101,9 @@ def clicks_from_rows(rows: Any) -> list[Click]:
 
 
 def _click(where: str, line: int, row: Any) -> Click:
-    """Return a click from its row of the file; where, line: for the error.
+    """Return a click from a table's row or a page's dict. Raises InputError for a wrong cell.
 
-    Raises InputError for a wrong cell.
+    where: the place that the error names; line: as in `Click`.
     """
     expected = f"a kind of {', '.join(KINDS)}; numbers x_px and y_px; 1 to 50 for a window"
     try:
@@ -149,7 +149,7 @@ def room_from_clicks(
 
 
 def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
-    """Raise InputError for a click off the panorama or on a wrong side, and for too few.
+    """Raise InputError for a click off the panorama or the wrong side of the horizon, or too few.
 
     grid: from pixels to directions; where: the file, for the error.
     """
@@ -161,10 +161,10 @@ def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
             remedy = "click on the panorama, or correct x_px and y_px"
             raise InputError(place, found, expected, remedy)
         altitude, _ = grid.angles(click.x_px, click.y_px)
-        side = {"floor": -1.0, "ceiling": 1.0}.get(click.kind, 0.0)
-        if side and altitude * side < _HORIZON_DEG:
+        sign = {"floor": -1.0, "ceiling": 1.0}.get(click.kind, 0.0)  # of the corner's altitude
+        if sign and altitude * sign < _HORIZON_DEG:
             found = f"a {click.kind} corner at an altitude of {altitude:+.1f} deg"
-            limit = f"{'below' if side < 0 else 'above'} {side * _HORIZON_DEG:+g} deg"
+            limit = f"{'below' if sign < 0 else 'above'} {sign * _HORIZON_DEG:+g} deg"
             remedy = "correct the kind of this click, or its place"
             raise InputError(place, found, f"an altitude {limit}", remedy)
     count = {kind: sum(click.kind == kind for click in clicks) for kind in KINDS}
@@ -180,14 +180,16 @@ def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
 
 
 def _numbers(clicks: Sequence[Click]) -> list[int]:
+    """Return the numbers of the clicked windows, ascending."""
     return sorted({click.window for click in clicks if click.window})
 
 
 class _Corner(NamedTuple):
     """The corner that a click means.
 
-    wall: of its window, "" for a corner of the room; place: of the window in the room; ends: 0 or 1
-    at the low or high end of x, y, z, or for a window of its left-to-right side and of its height.
+    wall: of its window, "" for a corner of the room; place: index of the window from 0; ends: 0 or
+    1 for the low or high end of x, y and z, or for a window of its width (from the left) and
+    height.
     """
 
     wall: str
@@ -214,40 +216,34 @@ class _Corner(NamedTuple):
 
 
 def _start(
-    clicks: Sequence[Click], grid: ClickGrid, h: float, where: str
+    clicks: Sequence[Click], grid: ClickGrid, camera_height_m: float, where: str
 ) -> tuple[Floats, list[_Corner | None]]:
-    """Return a first guess of the values of `_Corner.point`, and the meaning of each click.
+    """Return a first guess of the values of `_Corner.point`, and the corner that each click means.
 
-    grid: from pixels to directions; h: height of the camera above the floor [m]; where: the file,
-    for the error.
+    A click on a bar or transom means no corner. grid: from pixels to directions; camera_height_m:
+    above the floor; where: the file, for the error.
     """
-    rays = np.array([grid.ray(click) for click in clicks]).reshape(-1, 3)
+    rays = np.array([grid.ray(click) for click in clicks])
     floor = np.array([click.kind == "floor" for click in clicks])
-    ground = rays[floor, :2] * (h / -rays[floor, 2])[:, None]  # [n, 2] east, north
-    theta = min(np.arange(0.0, 90.0, 0.5), key=lambda t: _spread(ground, float(t)))
+    ground = rays[floor, :2] * (camera_height_m / -rays[floor, 2])[:, None]  # [n, 2] east, north
+    turn_deg = min(np.arange(0.0, 90.0, 0.5).tolist(), key=lambda turn: _spread(ground, turn))
     window = np.array([click.window if click.kind == "window" else 0 for click in clicks])
     numbers = _numbers(clicks)
     first = window == min(numbers, default=-1)
     facing = rays[first, :2].sum(axis=0) if first.any() else direction(0.0, grid.heading_deg)[:2]
-    theta = _main_wall(ground, float(theta), np.asarray(facing))
-    distances = _distances(ground @ room_axes(theta)[:2, :2].T, where)
-    turned = rays @ room_axes(theta).T
-    ceiling = [ray for ray, c in zip(turned, clicks, strict=True) if c.kind == "ceiling"]
-    heights = [_reach(ray[:2], distances, corner=True) * ray[2] for ray in ceiling]
-    south, west, north, east = distances
-    size = (west + east, south + north)
-    values = [theta, *size, h + float(np.mean(heights)), west, south]
-    corners: list[_Corner | None] = [
-        _Corner("", 0, (float(ray[0] > 0), float(ray[1] > 0), float(click.kind == "ceiling")))
-        if click.kind in ("floor", "ceiling")
-        else None
-        for ray, click in zip(turned, clicks, strict=True)
-    ]
+    azimuth_deg = _main_wall(ground, turn_deg, facing)
+    distances = _distances(ground @ room_axes(azimuth_deg)[:2, :2].T, where)
+    rays = rays @ room_axes(azimuth_deg).T
+    values, corners = [azimuth_deg, *_room_size(rays, clicks, distances, camera_height_m)], []
+    for ray, click in zip(rays, clicks, strict=True):
+        ends = (float(ray[0] > 0), float(ray[1] > 0), float(click.kind == "ceiling"))
+        corners.append(_Corner("", 0, ends) if click.kind in ("floor", "ceiling") else None)
     for place, number in enumerate(numbers):
         own = np.flatnonzero(window == number)
-        wall = _wall_of(turned[own, :2].sum(axis=0), distances)
-        at = np.array([_on_wall(turned[k], wall, size, (west, south, h)) for k in own])
-        low, span = at.min(axis=0), np.ptp(at, axis=0)
+        wall = _wall_of(rays[own, :2].sum(axis=0), distances)
+        camera = (*values[4:6], camera_height_m)
+        at = np.array([_on_wall(rays[k], wall, values[1:3], camera) for k in own])
+        low, span = at.min(axis=0), np.ptp(at, axis=0)  # [2] along the wall and in height
         if span.min() < _MIN_WINDOW_M:
             found = f"the corners of window {number} have no width or no height"
             remedy = "click its opposite corners again"
@@ -258,13 +254,13 @@ def _start(
     return np.array(values, float), corners
 
 
-def _spread(ground: Floats, theta_deg: float) -> float:
-    """Return how far corners on one side are from a common line.
+def _spread(ground: Floats, azimuth_deg: float) -> float:
+    """Return how far floor corners are from the lines of four walls, as a sum of squares [m2].
 
-    ground [n, 2]: corners of the floor, east and north of the camera [m]; theta_deg: azimuth of the
-    "south" wall. The result is a sum of squares [m2].
+    ground: corners, east and north of the camera [n, 2] m; azimuth_deg: of the "south" wall.
+    Corners on one side of the camera, along x or y, belong to one wall.
     """
-    xy = ground @ room_axes(theta_deg)[:2, :2].T
+    xy = ground @ room_axes(azimuth_deg)[:2, :2].T
     total = 0.0
     for axis in (0, 1):
         for side in (xy[:, axis] < 0, xy[:, axis] >= 0):
@@ -273,19 +269,27 @@ def _spread(ground: Floats, theta_deg: float) -> float:
     return total
 
 
-def _main_wall(ground: Floats, theta_deg: float, facing: Floats) -> float:
-    """Return the turn, of four possible ones, whose "south" wall is in a given direction."""
+def _main_wall(ground: Floats, azimuth_deg: float, facing: Floats) -> float:
+    """Return the azimuth of the wall, of four, that is in the direction `facing` from the camera.
 
-    def wall(theta: float) -> str:
-        turn = room_axes(theta)[:2, :2]
+    ground: floor corners, east and north of the camera [n, 2] m; azimuth_deg: of one wall; facing:
+    east and north [2].
+    """
+
+    def wall(azimuth: float) -> str:
+        turn = room_axes(azimuth)[:2, :2]
         return _wall_of(turn @ facing, _distances(ground @ turn.T, "clicks"))
 
-    turns = [(theta_deg + quarter) % 360.0 for quarter in (0.0, 90.0, 180.0, 270.0)]
-    return next((theta for theta in turns if wall(theta) == "south"), theta_deg)
+    azimuths = [(azimuth_deg + quarter) % 360.0 for quarter in (0.0, 90.0, 180.0, 270.0)]
+    return next((azimuth for azimuth in azimuths if wall(azimuth) == "south"), azimuth_deg)
 
 
 def _distances(xy: Floats, where: str) -> list[float]:
-    """Return distances [m] from the camera to south, west, north and east."""
+    """Return the distances [m] from the camera to the south, west, north and east wall.
+
+    xy: floor corners in room axes, from the camera [n, 2] m. Raises InputError if all are on one
+    side of it; where: the file, for the error.
+    """
     parts = [-xy[xy[:, 1] < 0, 1], -xy[xy[:, 0] < 0, 0], xy[xy[:, 1] >= 0, 1], xy[xy[:, 0] >= 0, 0]]
     if any(len(part) == 0 for part in parts):
         found = "all floor corners are on one side of the camera"
@@ -294,22 +298,36 @@ def _distances(xy: Floats, where: str) -> list[float]:
     return [float(part.mean()) for part in parts]
 
 
-def _reach(xy: Floats, distances: Sequence[float], *, corner: bool = False) -> float:
-    """Return the factor that extends a direction [2] to the wall or corner to which it points."""
+def _room_size(
+    rays: Floats, clicks: Sequence[Click], distances: Sequence[float], camera_height_m: float
+) -> tuple[float, float, float, float, float]:
+    """Return width, depth and height of the room, and the camera's x and y, m.
+
+    rays: of the clicks, in room axes [n, 3]; distances: by `_distances`.
+    """
     south, west, north, east = distances
-    steps = [
-        (east if xy[0] > 0 else west) / max(abs(float(xy[0])), 1e-9),
-        (north if xy[1] > 0 else south) / max(abs(float(xy[1])), 1e-9),
-    ]
-    return float(np.mean(steps)) if corner else min(steps)
+    ceiling = [ray for ray, click in zip(rays, clicks, strict=True) if click.kind == "ceiling"]
+    above_m = [float(np.mean(_factors(ray[:2], distances))) * ray[2] for ray in ceiling]
+    return west + east, south + north, camera_height_m + float(np.mean(above_m)), west, south
+
+
+def _factors(xy: Floats, distances: Sequence[float]) -> tuple[float, float]:
+    """Return the factors that extend a direction [2] to the walls across x and y that it meets.
+
+    distances: by `_distances`.
+    """
+    south, west, north, east = distances
+    across_x = (east if xy[0] > 0 else west) / max(abs(float(xy[0])), 1e-9)
+    across_y = (north if xy[1] > 0 else south) / max(abs(float(xy[1])), 1e-9)
+    return across_x, across_y
 
 
 def _wall_of(xy: Floats, distances: Sequence[float]) -> str:
-    point = xy * _reach(xy, distances)
-    south, west, north, east = distances
-    gaps = {"south": point[1] + south, "west": point[0] + west}
-    gaps |= {"north": north - point[1], "east": east - point[0]}
-    return min(gaps, key=lambda wall: abs(gaps[wall]))
+    """Return the wall that the camera sees in a direction [2], in room axes."""
+    across_x, across_y = _factors(xy, distances)
+    if across_x < across_y:
+        return "east" if xy[0] > 0 else "west"
+    return "north" if xy[1] > 0 else "south"
 
 
 def _on_wall(
@@ -317,7 +335,8 @@ def _on_wall(
 ) -> tuple[float, float]:
     """Return where a ray meets a wall: from its left end, seen from inside, and from the floor [m].
 
-    ray: in room axes; size: width and depth; camera: x, y, z.
+    ray: direction from the camera in room axes [3]; size: width and depth of the room [m]; camera:
+    its x, y, z [m].
     """
     axis, side = WALLS[wall]
     factor = (side * size[axis] - camera[axis]) / ray[axis]
@@ -331,27 +350,28 @@ def _fit(
     corners: Sequence[_Corner | None],
     clicks: Sequence[Click],
     grid: ClickGrid,
-    h: float,
+    camera_height_m: float,
 ) -> ClickedRoom:
     """Return the room whose corners are nearest to the clicks, by robust least squares in pixels.
 
-    start: values as for `_Corner.point`; corners: the corner of each click, None for an unused one;
-    h: height of the camera [m]. Uncertainties follow from `CLICK_PX`.
+    start: values as for `_Corner.point`; corners: the corner that each click means, None for a
+    click that means none; camera_height_m: above the floor. Uncertainties follow from `CLICK_PX`.
     """
     from scipy.optimize import least_squares
 
     used = [(click, c) for click, c in zip(clicks, corners, strict=True) if c is not None]
-    wanted = np.array([(click.x_px, click.y_px) for click, _ in used])
+    clicked = np.array([(click.x_px, click.y_px) for click, _ in used])  # [n, 2]
 
-    def residual(values: Floats) -> Floats:
-        points = np.array([corner.point(values, h) for _, corner in used])
-        off = grid.pixels(points @ room_axes(values[0])) - wanted
+    def residuals_px(values: Floats) -> Floats:
+        points = np.array([corner.point(values, camera_height_m) for _, corner in used])
+        off = grid.pixels(points @ room_axes(values[0])) - clicked
+        # across the panorama's edge, the shorter way
         off[:, 0] = (off[:, 0] + grid.width_px / 2) % grid.width_px - grid.width_px / 2
         return off.ravel()
 
     # a gross click must not bend the room: beyond some pixels its weight falls
-    solution = least_squares(residual, start, loss="soft_l1", f_scale=2.0)
-    off = residual(solution.x).reshape(-1, 2)
+    solution = least_squares(residuals_px, start, loss="soft_l1", f_scale=2.0)
+    off = residuals_px(solution.x).reshape(-1, 2)
     jacobian = np.asarray(solution.jac)
     u = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian))) * CLICK_PX
     notes = [
@@ -361,9 +381,9 @@ def _fit(
     ]
     walls: dict[int, Any] = {corner.place: corner.wall for _, corner in used if corner.wall}
     names = [*_LENGTHS, *(f"window.{k}.{name}" for k in walls for name in _WINDOW_LENGTHS)]
-    room = _room(solution.x, walls, clicks, grid, h)
-    stated = dict(zip(names, u.tolist(), strict=True))
-    return ClickedRoom(room, stated, float(np.sqrt((off**2).mean())), tuple(notes))
+    room = _room(solution.x, walls, clicks, grid, camera_height_m)
+    u_by_name = dict(zip(names, u.tolist(), strict=True))
+    return ClickedRoom(room, u_by_name, float(np.sqrt((off**2).mean())), tuple(notes))
 
 
 _LENGTHS = ("wall_azimuth_deg", "width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m")
@@ -371,14 +391,19 @@ _WINDOW_LENGTHS = ("left_m", "width_m", "sill_m", "height_m")
 
 
 def _room(
-    values: Floats, walls: dict[int, Any], clicks: Sequence[Click], grid: ClickGrid, h: float
+    values: Floats,
+    walls: dict[int, Any],
+    clicks: Sequence[Click],
+    grid: ClickGrid,
+    camera_height_m: float,
 ) -> Room:
-    """Return the room of fitted values; walls: of each window, in its place.
+    """Return the room of fitted values, with transoms and panes by the clicks on transoms and bars.
 
-    values: as by `_start`; grid: from pixels to directions; h: height of the camera [m].
+    values: as for `_Corner.point`; walls: name of each window's wall, by its index from 0; grid:
+    from pixels to directions; camera_height_m: above the floor.
     """
     rounded = [round(value, 4) for value in values.tolist()]
-    axes, camera = room_axes(values[0]), (values[4], values[5], h)
+    axes, camera = room_axes(values[0]), (values[4], values[5], camera_height_m)
     windows = []
     for place, number in enumerate(_numbers(clicks)):
         own = [click for click in clicks if click.window == number]
@@ -390,4 +415,4 @@ def _room(
         panes = 1 + sum(click.kind == "bar" for click in own)
         windows.append(Window(walls[place], **lengths, panes=panes, transom_m=transom_m))
     lengths = dict(zip(_LENGTHS, [rounded[0] % 360.0, *rounded[1:6]], strict=True))
-    return Room(**lengths, camera_z_m=h, window=tuple(windows))
+    return Room(**lengths, camera_z_m=camera_height_m, window=tuple(windows))

@@ -21,7 +21,7 @@ from fieldlum.session import write_file
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_EDGE_POINTS = 24  # of a drawn edge: smooth at the width of a page; not measured
+_EDGE_POINTS = 24  # points of a drawn edge: smooth at the width of a page; not measured
 
 
 def compass_text(azimuth_deg: float) -> str:
@@ -30,14 +30,17 @@ def compass_text(azimuth_deg: float) -> str:
 
 
 def write_room(setup: SiteFile, path: Path) -> bool:
-    """Write the plan of a box room as SVG; return whether there is one. Raises as `room_svg`."""
+    """Write the plan of a site's box room as SVG; return False, and write nothing, without one.
+
+    Raises InputError for an impossible room.
+    """
     if drawing := room_svg(setup):
         write_file(path, drawing)
     return bool(drawing)
 
 
 def room_svg(setup: SiteFile) -> str:
-    """Return a plan of the room as SVG text, seen from above with the "south" wall at the bottom.
+    """Return a plan of a site's room as SVG text: from above, with the "south" wall at the bottom.
 
     Return an empty text without a room of kind "box". Raises InputError for an impossible room.
     """
@@ -54,7 +57,7 @@ def room_svg(setup: SiteFile) -> str:
 
 
 def _draw_plan(axes: Axes, room: Room) -> None:
-    """Draw walls, boxes and windows from above, and what each wall faces."""
+    """Draw walls, boxes and windows from above, and the compass direction that each wall faces."""
     from matplotlib.patches import Rectangle
 
     axes.set_axis_off()
@@ -65,19 +68,20 @@ def _draw_plan(axes: Axes, room: Room) -> None:
     axes.add_patch(wall).set_clip_on(False)
     centred: dict[str, Any] = {"ha": "center", "va": "center", "textcoords": "offset points"}
     for number, (o, window) in enumerate(zip(build(room).openings, room.window, strict=True), 1):
-        x, y = ((o.inner_m, o.inner_m), o.u_m)[:: 1 if o.axis == 0 else -1]
+        across = (o.inner_m, o.inner_m)
+        x, y = (across, o.u_m) if o.axis == 0 else (o.u_m, across)
         line = {"color": BLUE, "lw": 7, "solid_capstyle": "butt", "gid": f"window{number}"}
         axes.plot(x, y, clip_on=False, **line)
         label = f"window {number}, {window.width_m:.3g} m"
         middle = (float(np.mean(x)), float(np.mean(y)))
         inwards = (-14 * o.outward, 0) if o.axis == 0 else (0, -14 * o.outward)
         axes.annotate(label, middle, inwards, **centred, rotation=0 if o.axis else 90)
-    for name, turn in WALL_TURN_DEG.items():
+    for name, turn_deg in WALL_TURN_DEG.items():
         axis, side = WALLS[name]
-        label, off = f'"{name}" faces {compass_text(room.wall_azimuth_deg + turn)}', 32 * side - 16
-        place, away = ((0.5, side), (0, off)) if axis else ((side, 0.5), (off, 0))
-        turned = 0 if axis else 90
-        axes.annotate(label, place, away, "axes fraction", **centred, rotation=turned)
+        label = f'"{name}" faces {compass_text(room.wall_azimuth_deg + turn_deg)}'
+        outwards = 32 * side - 16  # points
+        place, away = ((0.5, side), (0, outwards)) if axis else ((side, 0.5), (outwards, 0))
+        axes.annotate(label, place, away, "axes fraction", **centred, rotation=0 if axis else 90)
 
 
 def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
@@ -87,16 +91,17 @@ def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
     """
     # The drawing's downwards direction is the "south" wall's azimuth; angles run clockwise.
     up_deg = room.wall_azimuth_deg + 180.0
-    at, arrow = (room.camera_x_m, room.camera_y_m), {"scale": 8.0, "width": 0.01, "clip_on": False}
-    for name, azimuth, place, colour, of in (
-        ("camera", heading_deg, at, RED, axes.transData),
+    camera = (room.camera_x_m, room.camera_y_m)
+    style = {"scale": 8.0, "width": 0.01, "clip_on": False}
+    for name, azimuth_deg, place, colour, coordinates in (
+        ("camera", heading_deg, camera, RED, axes.transData),
         ("north", 0.0, (-0.1, 1.1), INK, axes.transAxes),
     ):
-        turn = np.radians(azimuth - up_deg)
+        turn = np.radians(azimuth_deg - up_deg)
         right, up = np.sin(turn), np.cos(turn)
-        axes.quiver(*place, right, up, color=colour, transform=of, gid=name, **arrow)
+        axes.quiver(*place, right, up, color=colour, transform=coordinates, gid=name, **style)
     axes.text(-0.15, 1.1, "N", ha="right", va="center", transform=axes.transAxes)
-    axes.plot(*at, "o", color=RED, ms=9)
+    axes.plot(*camera, "o", color=RED, ms=9)
     label = f"camera to {compass_text(heading_deg)}, {room.camera_z_m:.3g} m high"
     axes.text(0.5, -0.16, label, ha="center", color=RED, transform=axes.transAxes)
 
@@ -114,12 +119,12 @@ def outline_pixels(room: Room, grid: ClickGrid) -> dict[str, list[list[float]]]:
         pane = upright(o.axis, (o.inner_m, o.inner_m), o.u_m, o.z_m, 0.0, "pane")
         parts.append(("window", tuple(zip(pane.low, pane.high, strict=True))))
     share = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
-    for name, spans in parts:
+    for name, spans in parts:  # spans: from and to along x, y and z
         corners = np.unique(list(product(*spans)), axis=0)
-        for a, b in combinations(corners, 2):
-            if np.count_nonzero(a != b) > 1:
+        for start, end in combinations(corners, 2):
+            if np.count_nonzero(start != end) > 1:
                 continue  # a diagonal
-            points = (a * (1 - share) + b * share - scene.camera_m) @ scene.turn
+            points = (start * (1 - share) + end * share - scene.camera_m) @ scene.turn
             xy = grid.pixels(points)
             cuts = np.flatnonzero(np.abs(np.diff(xy[:, 0])) > grid.width_px / 2) + 1
             lines[name] += [np.round(part, 2).ravel().tolist() for part in np.split(xy, cuts)]

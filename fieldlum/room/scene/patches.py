@@ -1,6 +1,6 @@
 """Compute direct sun on a room's surfaces, hour by hour.
 
-The primary rays are traced once; each hour only needs shadow rays.
+The camera's rays are traced once; each hour only needs shadow rays.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +16,7 @@ from fieldlum.core.records import Room
 from fieldlum.room.scene.trace import SunPoints
 from fieldlum.room.scene.view import patch_rays, traced_view
 
-_HOURS = 64  # at a time; limits the memory
+_HOURS = 64  # computed at a time; limits the memory
 
 
 def sun_patches(
@@ -31,10 +31,11 @@ def sun_patches(
     """Return the luminance of surfaces due to direct sun only (Radiance's -ab 0), [n, H, W] cd/m2.
 
     sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up); normal_illuminance_lx
-    : [n] of the sun outside, on a plane normal to it. height : rows H; W = 2H. A box room is traced
-    exactly (hard shadows, sub x sub rays for each pixel, by default as many as `patch_rays` gives,
-    one mirror image in the panes); a room of kind "radiance" is traced by rtrace, and `sub` does
-    not count. heading_deg : azimuth of the centre column. Raises InputError for an impossible room.
+    : [n] of the sun outside, on a plane normal to it. height : rows H; W = 2H. heading_deg :
+    azimuth of the centre column. A box room is traced exactly: hard shadows, sub x sub rays for
+    each pixel (by default as many as `patch_rays` gives), one mirror image in the panes. A room of
+    kind "radiance" is traced by rtrace; `sub` does not count. Raises InputError for an impossible
+    room.
     """
     suns = np.atleast_2d(np.asarray(sun_direction, float))
     normal = np.broadcast_to(np.asarray(normal_illuminance_lx, float), len(suns))
@@ -47,8 +48,8 @@ def sun_patches(
     maps = np.zeros((len(suns), height, 2 * height), np.float32)
 
     def fill(hours: Indices) -> None:
-        units = points.direct(toward[hours]).reshape(len(hours), height, 2 * height)
-        maps[hours] = units * normal[hours, None, None].astype(np.float32)
+        per_lx = points.direct(toward[hours]).reshape(len(hours), height, 2 * height)
+        maps[hours] = per_lx * normal[hours, None, None].astype(np.float32)
 
     threads = max(cv2.getNumThreads(), 1)  # 1 in a process of the scheduler
     lit = np.flatnonzero(normal > 0)
@@ -60,6 +61,7 @@ def sun_patches(
     return maps
 
 
-@lru_cache(maxsize=2)  # units of one year ask for the same points again and again
+@lru_cache(maxsize=2)  # the work units of one year use the same points
 def _sun_points(room: Room, height: int, heading_deg: float, sub: int) -> SunPoints:
+    """Return the surface points of all pixels of a panorama, with sub x sub rays in each."""
     return traced_view(room, height, heading_deg, sub).sun_points()

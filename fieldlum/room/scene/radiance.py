@@ -33,9 +33,10 @@ _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 
 
 def corners_of(axis: int, at_m: float, low: Floats, high: Floats) -> Floats:
-    """Return the corners [4, 3] of a rectangle across an axis, counter-clockwise seen from its end.
+    """Return the corners [4, 3] of a rectangle, counter-clockwise as seen from the axis's high end.
 
-    low, high: its extent on the other two axes [3]. axis: 0 to 2; at_m: its coordinate.
+    axis: of its normal, 0 to 2; at_m: its coordinate there. low, high: its extent on the other two
+    axes [3] m; the third number is ignored.
     """
     corners = np.array([low, low, high, high])
     other = (axis + 1) % 3
@@ -45,7 +46,7 @@ def corners_of(axis: int, at_m: float, low: Floats, high: Floats) -> Floats:
 
 
 def _rectangle(name: str, material: str, axis: int, at_m: float, low: Floats, high: Floats) -> str:
-    """Return a rectangle across an axis as text; low, high: its extent on the other two [3]."""
+    """Return a rectangle as Radiance text; axis, at_m, low, high: as for `corners_of`."""
     numbers = " ".join(f"{x:.7g}" for x in corners_of(axis, at_m, low, high).ravel())
     return f"{material} polygon {name}\n0\n0\n12 {numbers}\n"
 
@@ -74,9 +75,10 @@ SKY_TEXT = "void glow skyglow\n0\n0\n4 1 1 1 0\nskyglow source sky\n0\n0\n4 0 0 
 
 
 def sun_text(direction: Floats, normal_illuminance_lx: float = RADIANCE_LM_PER_W) -> str:
-    """Return a sun in direction [3], to the sun, as Radiance text.
+    """Return the sun as Radiance text.
 
-    normal_illuminance_lx: on a plane normal to the sun; 179 lx, the default, are 1 W/m2.
+    direction: unit vector to the sun [3]; normal_illuminance_lx: on a plane normal to it; 179 lx,
+    the default, are 1 W/m2.
     """
     radiance = normal_illuminance_lx / RADIANCE_LM_PER_W / SUN_SR
     x, y, z = direction
@@ -99,7 +101,7 @@ def octree(*texts: str, base: Path | None = None) -> Iterator[Path]:
 def trace(
     octree_path: Path, origins: Floats, directions: Floats, extra: Sequence[str] = ()
 ) -> Floats:
-    """Return the radiance that rtrace finds along n rays, direct light only, in W/sr/m2, [n].
+    """Return the radiance along n rays by rtrace, with direct light only, [n] W/sr/m2.
 
     origins : [n, 3] or [3]; directions : [n, 3]; extra : more options of rtrace. Colours are
     weighted by Radiance's own luminance weights.
@@ -117,22 +119,22 @@ def trace(
 
 
 def _geometry(path: Path) -> str:
-    """Return a room file's text. Raises InputError if it could run something, as no data may."""
+    """Return the text of a room's file. Raises InputError if Radiance could run a command by it."""
     data = read_bytes(path)
-    if found := _COULD_RUN.search(data):
-        what = "a scene that loads another one, which could run commands"
-        if found[1] is not None:
-            what = f"a scene that runs the command: {found[1].decode('ascii', 'replace').strip()}"
+    if match := _COULD_RUN.search(data):
+        found = "a scene that loads another one, which could run commands"
+        if match[1] is not None:
+            found = f"a scene that runs the command: {match[1].decode('ascii', 'replace').strip()}"
         remedy = "write it flat, and without ! in comments: xform -e ROOM.rad > FLAT.rad"
-        raise InputError(path, what, "a .rad file of mere geometry", remedy)
+        raise InputError(path, found, "a .rad file of mere geometry", remedy)
     return data.decode("latin-1")
 
 
 @contextmanager
 def _room_octree(room: Room) -> Iterator[Path]:
-    """Yield the room's file as an octree.
+    """Yield the path of a temporary octree of the room's file.
 
-    Raises InputError if it is missing or invalid, or could run something.
+    Raises InputError if the file is missing or invalid, or could run a command.
     """
     path = Path(room.file)
     if not path.is_file():
@@ -144,6 +146,10 @@ def _room_octree(room: Room) -> Iterator[Path]:
 
 
 def _viewpoint(room: Room) -> Floats:
+    """Return the camera's place in a room of kind "radiance", [3] m, x east, y north, z up.
+
+    Raises InputError if it has not three numbers.
+    """
     if len(room.viewpoint_m) != 3:
         expected, remedy = "three numbers: x east, y north, z up", "correct viewpoint_m"
         raise InputError("[room]", f"viewpoint_m {room.viewpoint_m}", expected, remedy)
@@ -158,7 +164,7 @@ def traced(
     suns : [n, 3] unit vectors in world axes (x east, y north); normal_lx : [n], lx on a plane
     normal to the sun. height : rows H of the panoramas, W = 2H; heading_deg : azimuth of their
     centre, clockwise from true north. Pixels have the rays of `patch_rays`. Raises InputError for a
-    room file that is missing, invalid, or could run something, and for a viewpoint_m without three
+    room file that is missing, invalid, or could run a command, and for a viewpoint_m without three
     numbers.
     """
     eye = _viewpoint(room)
@@ -175,17 +181,20 @@ def traced(
 
 
 def traced_sky_share(room: Room, rays: Floats) -> Floats:
-    """Return the share of the open sky's light that rays [m, 3] from the viewpoint receive, [m].
+    """Return the share of the open sky's light that rays from the viewpoint receive, [m].
 
-    Rays are in world axes. The share is 0 behind an opaque surface and below the horizon, else the
-    transmittance of the glass.
+    rays [m, 3]: directions in world axes. The share is 0 behind an opaque surface and below the
+    horizon, else the transmittance of the glass. Raises InputError as `traced`.
     """
     with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
         return np.asarray(trace(lit, _viewpoint(room), rays), float)
 
 
 def _pixel_mean(pixel: NDArray[np.int32], values: Floats, height: int) -> Floats32:
-    """Return the mean of each pixel's rays, 0 for pixels without a ray, [H, W]."""
+    """Return the mean of each pixel's rays, 0 for pixels without a ray, [H, W].
+
+    pixel [m], values [m]: flat index and value of each ray; height: rows H of the panorama.
+    """
     count = 2 * height**2
     total = np.bincount(pixel, values, count) / np.maximum(np.bincount(pixel, minlength=count), 1)
     return total.reshape(height, 2 * height).astype(np.float32)

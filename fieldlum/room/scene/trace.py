@@ -1,4 +1,4 @@
-"""Trace rays and the sun among boxes and panes exactly: first hits, panes, disc, and shade.
+"""Trace rays and sunlight exactly among boxes and panes: first hits, glass, sun disc, and shade.
 
 A point inside the panes sees the sun through an opening, past bars and boxes; a point outside sees
 it past the building. Lengths are in m, in room axes.
@@ -42,38 +42,40 @@ class BoxHits(NamedTuple):
 def nearest_box(low: Floats, high: Floats, origins: Floats, directions: Floats) -> BoxHits:
     """Return where n rays first hit one of b boxes; boxes that contain the origin are ignored.
 
-    low, high: corners of the boxes [b, 3] m; origins, directions: of the rays [n, 3].
+    low, high: corners of the boxes [b, 3] m; origins, directions: of the rays [n, 3]. A ray is in a
+    box from the last of its three entries, between the planes of x, y, z, to its first exit.
     """
     count = len(directions)
     distance, box = np.full(count, np.inf), np.full(count, -1, np.int32)
     axis, sign = np.zeros(count, np.int8), np.zeros(count, np.int8)
-    for ray in range(count):
-        d = directions[ray]
-        by_x = 1.0 / (d[0] if abs(d[0]) >= 1e-12 else 1e-12)
-        by_y = 1.0 / (d[1] if abs(d[1]) >= 1e-12 else 1e-12)
-        by_z = 1.0 / (d[2] if abs(d[2]) >= 1e-12 else 1e-12)
+    for ray in range(count):  # the three axes are written out: a loop over them is 20 % slower
+        toward = directions[ray]
+        inverse_x = 1.0 / (toward[0] if abs(toward[0]) >= 1e-12 else 1e-12)
+        inverse_y = 1.0 / (toward[1] if abs(toward[1]) >= 1e-12 else 1e-12)
+        inverse_z = 1.0 / (toward[2] if abs(toward[2]) >= 1e-12 else 1e-12)
         x, y, z = origins[ray, 0], origins[ray, 1], origins[ray, 2]
         for k in range(len(low)):
-            x0, x1 = (low[k, 0] - x) * by_x, (high[k, 0] - x) * by_x
-            y0, y1 = (low[k, 1] - y) * by_y, (high[k, 1] - y) * by_y
-            z0, z1 = (low[k, 2] - z) * by_z, (high[k, 2] - z) * by_z
-            in_x, in_y, in_z = min(x0, x1), min(y0, y1), min(z0, z1)
-            near = max(in_x, in_y, in_z)
-            far = min(max(x0, x1), max(y0, y1), max(z0, z1))
-            if near < far and EPSILON_M / 10 < near < distance[ray]:
-                distance[ray], box[ray] = near, k
-                axis[ray] = 0 if near == in_x else (1 if near == in_y else 2)
+            x0, x1 = (low[k, 0] - x) * inverse_x, (high[k, 0] - x) * inverse_x
+            y0, y1 = (low[k, 1] - y) * inverse_y, (high[k, 1] - y) * inverse_y
+            z0, z1 = (low[k, 2] - z) * inverse_z, (high[k, 2] - z) * inverse_z
+            enters_x, enters_y, enters_z = min(x0, x1), min(y0, y1), min(z0, z1)
+            enters = max(enters_x, enters_y, enters_z)
+            leaves = min(max(x0, x1), max(y0, y1), max(z0, z1))
+            if enters < leaves and EPSILON_M / 10 < enters < distance[ray]:
+                distance[ray], box[ray] = enters, k
+                axis[ray] = 0 if enters == enters_x else (1 if enters == enters_y else 2)
         if box[ray] >= 0:
-            sign[ray] = -1 if d[axis[ray]] > 0.0 else 1
+            sign[ray] = -1 if toward[axis[ray]] > 0.0 else 1
     return BoxHits(distance, box, axis, sign)
 
 
 class Ends(NamedTuple):
     """Where n rays end: on a box, or outdoors.
 
-    row [n]: number of the ray; toward, position [n, 3]: its direction and its end (its origin if it
+    row [n]: index of the ray; toward, position [n, 3]: its direction and its end (its origin if it
     ends outdoors); box [n]: index, -1 outdoors; axis, sign [n]: of the face's normal; weight [n]:
-    transmittance of the panes on the way, times the reflectance of a pane that mirrors the ray.
+    transmittance of all panes that a straight ray crosses, reflectance of the pane for a mirrored
+    one.
     """
 
     row: Indices
@@ -86,71 +88,77 @@ class Ends(NamedTuple):
 
 
 def ray_ends(scene: BoxScene, origins: Floats, rays: Floats) -> tuple[Ends, Ends]:
-    """Return where rays end straight on, and where after a reflection in the first pane they cross.
+    """Return where n rays end, and where those that cross a pane end if that pane mirrors them.
 
-    origins, rays: [n, 3], in room axes [m]. A box that contains the ray's origin is ignored.
+    origins [n, 3] m, rays [n, 3]: in room axes. Only the first pane mirrors. A box that contains
+    the ray's origin is ignored.
     """
     origins, rays = np.ascontiguousarray(origins), np.ascontiguousarray(rays)
     hits = nearest_box(scene.low, scene.high, origins, rays)
-    through, back, pane_m, normal = _panes(scene, origins, rays, hits.distance)
+    transmittance, reflectance, pane_m, normal = _panes(scene, origins, rays, hits.distance)
     at = origins + rays * np.where(hits.box >= 0, hits.distance, 0.0)[:, None]
-    straight = Ends(np.arange(len(rays)), rays, at, hits.box, hits.axis, hits.sign, through)
-    rows = np.flatnonzero(back)
-    turned = rays[rows].copy()
-    turned[np.arange(len(rows)), normal[rows]] *= -1.0
-    origin = origins[rows] + rays[rows] * pane_m[rows, None] + turned * 2 * EPSILON_M
-    hits = nearest_box(scene.low, scene.high, origin, turned)
-    at = origin + turned * np.where(hits.box >= 0, hits.distance, 0.0)[:, None]
-    return straight, Ends(rows, turned, at, hits.box, hits.axis, hits.sign, back[rows])
+    straight = Ends(np.arange(len(rays)), rays, at, hits.box, hits.axis, hits.sign, transmittance)
+    rows = np.flatnonzero(reflectance)
+    mirrored = rays[rows].copy()
+    mirrored[np.arange(len(rows)), normal[rows]] *= -1.0
+    origin = origins[rows] + rays[rows] * pane_m[rows, None] + mirrored * 2 * EPSILON_M
+    hits = nearest_box(scene.low, scene.high, origin, mirrored)
+    at = origin + mirrored * np.where(hits.box >= 0, hits.distance, 0.0)[:, None]
+    return straight, Ends(rows, mirrored, at, hits.box, hits.axis, hits.sign, reflectance[rows])
 
 
 def _panes(
     scene: BoxScene, origins: Floats, rays: Floats, limit_m: Floats
 ) -> tuple[Floats, Floats, Floats, NDArray[np.int8]]:
-    """Return the transmittance of all panes that rays cross within `limit_m`, [n].
+    """Return the transmittance of all panes that n rays cross, and three figures of the first pane.
 
-    origins [n, 3] m, rays [n, 3]: in the room's coordinates. And the first one's reflectance,
-    distance and axis of the normal, [n] each; reflectance 0 without a pane.
+    These are its reflectance (0 without a pane), its distance [m], and the axis of its normal. Each
+    is [n]. origins [n, 3] m, rays [n, 3]: in room axes; limit_m [n]: where each ray ends.
     """
-    through, back = np.ones(len(rays)), np.zeros(len(rays))
-    nearest, normal = limit_m.copy(), np.zeros(len(rays), np.int8)
+    transmittance, reflectance = np.ones(len(rays)), np.zeros(len(rays))
+    nearest_m, normal = limit_m.copy(), np.zeros(len(rays), np.int8)
     for o in scene.openings:
-        d = rays[:, o.axis]
-        at = (o.pane_m - origins[:, o.axis]) / np.where(np.abs(d) < 1e-12, 1e-12, d)
-        rows = np.flatnonzero((at > EPSILON_M / 10) & (at < limit_m))
-        place = origins[rows] + at[rows, None] * rays[rows]
+        across = rays[:, o.axis]
+        at_m = (o.pane_m - origins[:, o.axis]) / np.where(np.abs(across) < 1e-12, 1e-12, across)
+        rows = np.flatnonzero((at_m > EPSILON_M / 10) & (at_m < limit_m))
+        place = origins[rows] + at_m[rows, None] * rays[rows]
         rows = rows[o.contains(place[:, o.along], place[:, 2])]
-        passed, mirrored = glass_optics(o.transmittance, d[rows])
-        through[rows] *= passed
-        first = at[rows] < nearest[rows]
-        back[rows[first]], nearest[rows[first]] = mirrored[first], at[rows[first]]
-        normal[rows[first]] = o.axis
-    return through, back, nearest, normal
+        passed, mirrored = glass_optics(o.transmittance, across[rows])
+        transmittance[rows] *= passed
+        is_first = at_m[rows] < nearest_m[rows]
+        first = rows[is_first]
+        reflectance[first], nearest_m[first], normal[first] = (
+            mirrored[is_first],
+            at_m[first],
+            o.axis,
+        )
+    return transmittance, reflectance, nearest_m, normal
 
 
 def disc_glass(scene: BoxScene, toward: Floats) -> Floats:
-    """Return the glass's transmittance of each of `disc_rays` from the camera, [..., r].
+    """Return the transmittance of the glass on each ray from the camera to the sun disc, [..., r].
 
-    It is 0 if the ray is hidden. toward: directions to the sun in room axes [..., 3].
+    It is 0 for a ray that is hidden. toward: directions to the sun's centre in room axes [..., 3];
+    the r rays of each are `disc_rays`.
     """
     rays = disc_rays(toward)
     flat = rays.reshape(-1, 3)
     eye = np.broadcast_to(np.array(scene.camera_m), flat.shape)
-    through = _panes(scene, eye, flat, np.full(len(flat), np.inf))[0]
+    transmittance = _panes(scene, eye, flat, np.full(len(flat), np.inf))[0]
     is_up = np.broadcast_to(np.asarray(toward)[..., None, 2] > 0, rays.shape[:-1]).ravel()
-    rows = np.flatnonzero((through < 1.0) & is_up)  # other rays meet a wall
+    rows = np.flatnonzero((transmittance < 1.0) & is_up)  # other rays meet a wall
     out = np.zeros(len(flat))
     free = rows[nearest_box(scene.low, scene.high, eye[rows].copy(), flat[rows]).box < 0]
-    out[free] = through[free]
+    out[free] = transmittance[free]
     return out.reshape(rays.shape[:-1])
 
 
 def disc_visibility(scene: BoxScene, toward: Floats) -> tuple[Floats, Floats]:
-    """Return the share of the disc that the camera sees, and its glass's transmittance, [n] each.
+    """Return the share of the sun disc that the camera sees, and the glass's transmittance there.
 
-    Both are 0 for a hidden disc. toward : [n, 3] directions to the sun in room axes.
+    [n] each; both are 0 for a hidden disc. toward : [n, 3] directions to the sun in room axes.
     """
-    parts = np.array_split(toward, len(toward) // 500 + 1)  # some 10 MB each
+    parts = np.array_split(toward, len(toward) // 500 + 1)  # 500 suns need some 10 MB
     glass = np.concatenate([disc_glass(scene, part) for part in parts])
     visible = (glass > 0).mean(axis=1)
     return visible, glass.mean(axis=1) / np.maximum(visible, 1e-12)
@@ -159,10 +167,10 @@ def disc_visibility(scene: BoxScene, toward: Floats) -> tuple[Floats, Floats]:
 def disc_rays(toward: Floats, rings: int = 4) -> Floats:
     """Return unit vectors to equal areas of the sun disc, [..., 1 + 3 rings (rings + 1), 3].
 
-    toward : unit vectors to the disc's centre [..., 3]. The disc has the radius SUN_RADIUS_DEG; 4
-    rings give 61 vectors.
+    toward : unit vectors to the disc's centre [..., 3]. The disc has the radius SUN_RADIUS_DEG. A
+    ring has six vectors more than the one inside it; 4 rings give 61 vectors with the centre.
     """
-    radius, angle = [0.0], [0.0]
+    radius, angle = [0.0], [0.0]  # share of the disc's radius; position on the ring [rad]
     for ring in range(1, rings + 1):
         count = 6 * ring
         radius += [(ring - 0.25) / (rings + 0.25)] * count
@@ -182,7 +190,10 @@ def disc_rays(toward: Floats, rings: int = 4) -> Floats:
 
 @compiled
 def _passed(beyond: float, softness: float) -> float:
-    """Return the share of a ray's width that is past an edge; beyond: how far its middle is, m."""
+    """Return the share of light, 0 to 1, that passes an edge whose shade grows over `softness` [m].
+
+    beyond: distance from the edge, positive outside its shade [m].
+    """
     return min(max(beyond / softness + 0.5, 0.0), 1.0)
 
 
@@ -191,9 +202,9 @@ def _inverses(suns: Floats) -> Floats:
     """Return one over each component of directions [n, 3], at most 10^9."""
     inverse = np.empty((len(suns), 3))
     for hour in range(len(suns)):
-        for axis in range(3):  # a row at a time would compile numba's text of an error: 2 s
-            at = suns[hour, axis]
-            inverse[hour, axis] = 1.0 / (at if abs(at) >= _SMALLEST else _SMALLEST)
+        for axis in range(3):  # for a row at a time, numba would compile an error's text too: 2 s
+            component = suns[hour, axis]
+            inverse[hour, axis] = 1.0 / (component if abs(component) >= _SMALLEST else _SMALLEST)
     return inverse
 
 
@@ -202,38 +213,32 @@ def _unshaded(
     low: Floats, high: Floats, boxes: Indices, position: Floats32, point: int, inverse: Floats,
     softness: float,
 ) -> float:  # fmt: skip
-    """Return the share of a point of [r, 3] from which none of some boxes of [s, 3] hides the sun.
+    """Return the share of the sun's light, 0 to 1, that boxes leave to one point.
 
-    low, high: corners of the boxes; boxes: indices of those to test; position, point: all points,
-    and the index of this one; inverse: 1 over the direction to the sun [3]. softness: width over
-    which the shade of a box grows at its edges, m. The line to the sun enters a box through a face
-    of one axis and leaves it through one of another; its distance from the edge between them
+    low, high: corners of all boxes [s, 3]; boxes: indices of those to test; position: of all points
+    [r, 3]; point: index of this one; inverse: 1 over the direction to the sun [3]. softness: width
+    over which the shade of a box grows at its edges, m. The line to the sun enters a box through a
+    face of one axis and leaves it through one of another; its distance from the edge between them
     follows from its length inside, which is negative outside the box.
     """
     share = 1.0
     # no shade begins farther from a box than this, as a length along the line to the sun
     reach = 0.5 * softness * np.sqrt(inverse[0] ** 2 + inverse[1] ** 2 + inverse[2] ** 2)
     for box in boxes:
-        enters, leaves = -np.inf, np.inf
+        enters, leaves, enters_axis, leaves_axis = -np.inf, np.inf, 0, 0
         for axis in range(3):
             first = (low[box, axis] - position[point, axis]) * inverse[axis]
             last = (high[box, axis] - position[point, axis]) * inverse[axis]
-            enters, leaves = max(enters, min(first, last)), min(leaves, max(first, last))
+            if min(first, last) > enters:
+                enters, enters_axis = min(first, last), axis
+            if max(first, last) < leaves:
+                leaves, leaves_axis = max(first, last), axis
         if leaves <= EPSILON_M or enters - leaves > reach:
             continue
-        if leaves - enters > reach:
+        if leaves - enters > reach or enters_axis == leaves_axis:
             return 0.0
-        along, across, entered, left = 0.0, 0.0, -1, -1
-        for axis in range(3):
-            first = (low[box, axis] - position[point, axis]) * inverse[axis]
-            last = (high[box, axis] - position[point, axis]) * inverse[axis]
-            if entered < 0 and min(first, last) == enters:
-                along, entered = inverse[axis], axis
-            if left < 0 and max(first, last) == leaves:
-                across, left = inverse[axis], axis
-        if entered == left:
-            return 0.0
-        share *= 1.0 - _passed((leaves - enters) / np.hypot(along, across), softness)
+        slope = np.hypot(inverse[enters_axis], inverse[leaves_axis])
+        share *= 1.0 - _passed((leaves - enters) / slope, softness)
         if share <= 0.0:
             return 0.0
     return share
@@ -241,33 +246,35 @@ def _unshaded(
 
 @compiled
 def _cosine(face: int, sun: Floats) -> float:
-    """Return the cosine of the sun on a face: 0, 1, 2 for +x, +y, +z; 3, 4, 5 for -x, -y, -z."""
+    """Return the cosine of the sun's incidence on a face.
+
+    face: direction of its normal, 0, 1, 2 for +x, +y, +z; 3, 4, 5 for -x, -y, -z. sun: unit vector
+    [3].
+    """
     return sun[face] if face < 3 else -sun[face - 3]
 
 
 @compiled
 def _bounds(position: Floats32, softness: Floats32, first: int, last: int) -> Floats:
-    """Return lowest and highest x, y, z of points first to last, and half their softness, [7].
+    """Return the extent of the block of points `first` to `last` - 1, and of their soft shade, [7].
 
+    0 to 2: lowest x, y, z; 3 to 5: highest x, y, z; 6: half of the largest softness, each in m.
     position [n, 3], softness [n]: of all points [m].
     """
     out = np.empty(7)
     for axis in range(3):
-        out[axis] = out[3 + axis] = position[first, axis]
-    out[6] = 0.0
-    for point in range(first, last):
-        for axis in range(3):
-            out[axis] = min(out[axis], position[point, axis])
-            out[3 + axis] = max(out[3 + axis], position[point, axis])
-        out[6] = max(out[6], 0.5 * softness[point])
+        out[axis] = position[first:last, axis].min()
+        out[3 + axis] = position[first:last, axis].max()
+    out[6] = 0.5 * softness[first:last].max()
     return out
 
 
 @compiled
 def _overlap(bounds: Floats, axis: int, near: float, far: float, low: float, high: float) -> int:
-    """Return how many points of `_bounds`, moved on `axis` by near to far, are from low to high.
+    """Return how many points of a block are from `low` to `high` on an axis, after a shift.
 
-    0: none, 1: some or unknown, 2: all.
+    0: none, 1: some or unknown, 2: all. bounds: of the block, by `_bounds`; near, far: smallest and
+    largest shift of its points along the axis, in either order [m].
     """
     lowest = bounds[axis] + min(near, far) - bounds[6]
     highest = bounds[3 + axis] + max(near, far) + bounds[6]
@@ -280,19 +287,19 @@ def _overlap(bounds: Floats, axis: int, near: float, far: float, low: float, hig
 def _boxes_towards_sun(
     low: Floats, high: Floats, bounds: Floats, inverse: Floats, boxes: Indices
 ) -> int:
-    """Put the boxes that may shade a point of `_bounds` first into `boxes`; return their number.
+    """Put the indices of boxes that may shade a block first into `boxes`; return their number.
 
-    low, high: corners of all boxes [s, 3]; bounds: of the points; inverse: 1 over the direction to
-    the sun [3]; boxes: changed in place.
+    low, high: corners of all boxes [s, 3]; bounds: of the block of points, by `_bounds`; inverse: 1
+    over the direction to the sun [3]; boxes [s]: changed in place.
     """
     reach = bounds[6] * np.sqrt(inverse[0] ** 2 + inverse[1] ** 2 + inverse[2] ** 2)
     count = 0
     for box in range(len(low)):
         enters, leaves = -np.inf, np.inf
         for axis in range(3):
-            one = (low[box, axis] - bounds[3 + axis]) * inverse[axis]
-            other = (high[box, axis] - bounds[axis]) * inverse[axis]
-            enters, leaves = max(enters, min(one, other)), min(leaves, max(one, other))
+            first = (low[box, axis] - bounds[3 + axis]) * inverse[axis]
+            last = (high[box, axis] - bounds[axis]) * inverse[axis]
+            enters, leaves = max(enters, min(first, last)), min(leaves, max(first, last))
         if leaves > EPSILON_M and enters - leaves <= reach:
             boxes[count] = box
             count += 1
@@ -303,13 +310,14 @@ def _boxes_towards_sun(
 def _past_bars(
     bars: Floats, u: float, z: float, slope_u: float, slope_z: float, soft: float
 ) -> float:
-    """Return the share of a ray that passes an opening's bars; bars: as for `add_through`.
+    """Return the share of the sun's light, 0 to 1, that passes an opening's bars.
 
-    u, z: where the ray meets the wall's inner face [m]; slope_u, slope_z: by how much they change
-    per metre outwards; soft: width of the shade's edges [m].
+    bars [b, 5]: as for `add_through`; u, z: along the wall and in height, where the line to the sun
+    meets the wall's inner face [m]; slope_u, slope_z: by how much they change per metre outwards;
+    soft: width of the shade's edges [m].
     """
     share = 1.0
-    for bar in range(len(bars)):
+    for bar in range(len(bars)):  # columns: upright, span from and to, depth from and to
         at, slope = (u, slope_u) if bars[bar, 0] > 0.0 else (z, slope_z)
         near, far = slope * bars[bar, 3], slope * bars[bar, 4]
         below, above = at + max(near, far) - bars[bar, 1], bars[bar, 2] - at - min(near, far)
@@ -323,17 +331,19 @@ def add_through(
     face: NDArray[np.int8], softness: Floats32, weight: Floats, target: Indices, suns: Floats,
     glass: Floats, totals: Floats,
 ) -> None:  # fmt: skip
-    """Add weight x cosine x glass x visible share of points that see suns through an opening.
+    """Add to `totals` the sunlight of n suns on r points that see them through one opening.
 
-    opening: axis of the wall's normal, its sign outwards, inner and outer face, u from and to, z
-    from and to [8]. bars: upright (1 or 0), span from and to, depth from and to, outwards from the
-    inner face [b, 5]. low, high: corners of boxes that shade [s, 3]. For r points: position [r, 3],
-    slightly above its surface; face, as in `_cosine`, -1 for one that no sun reaches; softness:
-    width over which an edge's shade grows, m; weight; target: column of `totals`. suns: unit
-    vectors [n, 3]; glass: transmittance at each [n]; totals [n, targets].
+    A point adds weight x cosine x glass x visible share. opening: axis of the wall's normal, its
+    sign outwards, inner and outer face, u from and to, z from and to [8]; u is along the wall. bars
+    [b, 5]: upright (1 or 0), span from and to, depth from and to, outwards from the inner face.
+    low, high: corners of boxes that shade [s, 3]. For each point: position [r, 3], slightly above
+    its surface; face, as in `_cosine`, -1 for one that no sun reaches; softness: width over which
+    an edge's shade grows, m; weight; target: column of `totals`. suns: unit vectors [n, 3]; glass:
+    transmittance at each [n]; totals [n, targets]: changed in place.
     """
     axis, outward = int(opening[0]), opening[1]
     along, inner, thickness = 1 - axis, opening[2], (opening[3] - opening[2]) * opening[1]
+    u_from, u_to, z_from, z_to = opening[4], opening[5], opening[6], opening[7]
     inverse, boxes = _inverses(suns), np.arange(len(low))
     for first in range(0, len(face), _BLOCK):
         last = min(first + _BLOCK, len(face))
@@ -344,18 +354,19 @@ def add_through(
                 continue
             slope_u, slope_z = suns[hour, along] / toward, suns[hour, 2] / toward
             shift_u, shift_z = slope_u * thickness, slope_z * thickness
-            low_u, high_u = opening[4] - min(shift_u, 0.0), opening[5] - max(shift_u, 0.0)
-            low_z, high_z = opening[6] - min(shift_z, 0.0), opening[7] - max(shift_z, 0.0)
+            # on the inner face, the rectangle through which light also passes the outer one
+            low_u, high_u = u_from - min(shift_u, 0.0), u_to - max(shift_u, 0.0)
+            low_z, high_z = z_from - min(shift_z, 0.0), z_to - max(shift_z, 0.0)
             near, far = (inner - bounds[axis]) * outward, (inner - bounds[3 + axis]) * outward
-            over = 1
+            overlap = 1  # as for `_overlap`: some points of the block see the sun, or unknown
             if min(near, far) > 2.0 * EPSILON_M:
-                over_u = _overlap(bounds, along, slope_u * near, slope_u * far, low_u, high_u)
-                over_z = _overlap(bounds, 2, slope_z * near, slope_z * far, low_z, high_z)
-                over = min(over_u, over_z)
-            if over == 0:
+                overlap_u = _overlap(bounds, along, slope_u * near, slope_u * far, low_u, high_u)
+                overlap_z = _overlap(bounds, 2, slope_z * near, slope_z * far, low_z, high_z)
+                overlap = min(overlap_u, overlap_z)
+            if overlap == 0:
                 continue
-            some = boxes[: _boxes_towards_sun(low, high, bounds, inverse[hour], boxes)]
-            unshaded = over == 2 and len(some) + len(bars) == 0
+            near_boxes = boxes[: _boxes_towards_sun(low, high, bounds, inverse[hour], boxes)]
+            unshaded = overlap == 2 and len(near_boxes) + len(bars) == 0
             for point in range(first, last):
                 if face[point] < 0:
                     continue
@@ -373,16 +384,16 @@ def add_through(
                     share = _passed(u - low_u, soft) * _passed(high_u - u, soft)
                     share *= _passed(z - low_z, soft) * _passed(high_z - z, soft)
                 elif across > -thickness / 2.0:  # in the reveal: only the outer end is ahead
-                    share = _passed(u + shift_u - opening[4], soft)
-                    share *= _passed(opening[5] - u - shift_u, soft)
-                    share *= _passed(z + shift_z - opening[6], soft)
-                    share *= _passed(opening[7] - z - shift_z, soft)
+                    share = _passed(u + shift_u - u_from, soft)
+                    share *= _passed(u_to - u - shift_u, soft)
+                    share *= _passed(z + shift_z - z_from, soft)
+                    share *= _passed(z_to - z - shift_z, soft)
                 else:
                     continue
                 if share > 0.0:
                     share *= _past_bars(bars, u, z, slope_u, slope_z, soft)
                 if share > 0.0:
-                    share *= _unshaded(low, high, some, position, point, inverse[hour], soft)
+                    share *= _unshaded(low, high, near_boxes, position, point, inverse[hour], soft)
                     totals[hour, target[point]] += share * cosine * glass[hour] * weight[point]
 
 
@@ -391,9 +402,9 @@ def _add_outside(
     low: Floats, high: Floats, position: Floats32, face: NDArray[np.int8], weight: Floats,
     target: Indices, suns: Floats, totals: Floats,
 ) -> None:  # fmt: skip
-    """Add weight x cosine of points from which no box hides the suns.
+    """Add to `totals` the sunlight of n suns on r points outside the panes, past all boxes.
 
-    The arguments are those of `add_through`.
+    A point adds weight x cosine x visible share. The arguments are those of `add_through`.
     """
     inverse, boxes = _inverses(suns), np.arange(len(low))
     hard = np.full(len(face), HARD_M, np.float32)
@@ -403,17 +414,17 @@ def _add_outside(
         for hour in range(len(suns)):
             if suns[hour, 2] <= 0.0:
                 continue
-            some = boxes[: _boxes_towards_sun(low, high, bounds, inverse[hour], boxes)]
+            near_boxes = boxes[: _boxes_towards_sun(low, high, bounds, inverse[hour], boxes)]
             for point in range(first, last):
                 cosine = _cosine(face[point], suns[hour])
                 if cosine > _GRAZING:
-                    share = _unshaded(low, high, some, position, point, inverse[hour], HARD_M)
+                    share = _unshaded(low, high, near_boxes, position, point, inverse[hour], HARD_M)
                     totals[hour, target[point]] += share * cosine * weight[point]
 
 
 @dataclass(frozen=True)
 class _Group:
-    """Points of one kind, as `add_through` describes them, and corners of the boxes that shade."""
+    """Points inside or outside the panes, as for `add_through`, and corners of boxes that shade."""
 
     position: Floats32
     face: NDArray[np.int8]
@@ -425,13 +436,13 @@ class _Group:
 
 @dataclass(frozen=True)
 class SunPoints:
-    """Points on matt surfaces, ready for shadow tests.
+    """Points on matt surfaces, prepared for shadow tests; `sun_points` creates it.
 
-    `direct(toward)` returns, for each target, the sum over its points of weight x cosine x
-    glass x visibility: a luminance for weights of reflectance / pi, an irradiance for weights
-    of 1 / count, both per lx on the sun's normal. Points inside the panes see the sun only
-    through an opening; points outside see it past the building, whose panes
-    let none through. targets: their number.
+    Each point belongs to a target, such as a pixel or a piece of a surface. `direct(toward)`
+    returns, for each target, the sum over its points of weight x cosine x glass x visible share: a
+    luminance for weights of reflectance / pi, an irradiance for weights of 1 / count, both per lx
+    on the sun's normal. Points inside the panes see the sun only through an opening; points outside
+    see it past the building, whose panes let none through. targets: their number.
     """
 
     scene: BoxScene
@@ -440,20 +451,20 @@ class SunPoints:
     targets: int
 
     def direct(self, toward: Floats) -> Floats32:
-        """Return each target's sum for suns in directions `toward` [..., 3] in room axes.
+        """Return each target's sunlight per lx on the sun's normal, [..., targets].
 
-        Of shape [..., targets].
+        toward: directions to the suns in room axes [..., 3].
         """
         suns = np.asarray(toward, float).reshape(-1, 3)
         totals = np.zeros((len(suns), self.targets))
-        group = self.inside
-        softness = np.full(len(group.face), HARD_M, np.float32)
+        g = self.inside
+        softness = np.full(len(g.face), HARD_M, np.float32)
         for o in self.scene.openings:
             glass = glass_optics(o.transmittance, suns[:, o.axis])[0]
             add_through(
                 np.array([o.axis, o.outward, o.inner_m, o.outer_m, *o.u_m, *o.z_m], float),
-                np.empty((0, 5)), group.low, group.high, group.position, group.face, softness,
-                group.weight, group.target, suns, glass, totals,
+                np.empty((0, 5)), g.low, g.high, g.position, g.face, softness, g.weight, g.target,
+                suns, glass, totals,
             )  # fmt: skip
         g = self.outside
         _add_outside(g.low, g.high, g.position, g.face, g.weight, g.target, suns, totals)
@@ -469,10 +480,10 @@ def sun_points(
     target: NDArray[np.integer],
     targets: int,
 ) -> SunPoints:
-    """Return surface points prepared for shadow tests: `SunPoints.direct` sums their sunlight.
+    """Return k surface points prepared for shadow tests: `SunPoints.direct` sums their sunlight.
 
-    position : [m, 3] in room axes [m]; axis, sign : of the surface's normal [m]; weight : factor on
-    a point's light [m]; target : index of the sum, below `targets`, to which a point adds [m].
+    position : in room axes [k, 3] m; axis, sign : of the surface's normal [k]; weight : factor on a
+    point's light [k]; target : index of the sum, below `targets`, to which a point adds [k].
     """
     inside = _inside(scene, position)
     raised = position.copy()
@@ -501,10 +512,13 @@ def sun_points(
     return SunPoints(scene, group(inside, small), group(~inside, solid + panes), targets)
 
 
-def _inside(scene: BoxScene, p: Floats) -> Mask:
-    """Return which points are within the building and on the room's side of every pane, [n]."""
+def _inside(scene: BoxScene, position: Floats) -> Mask:
+    """Return whether points [n, 3] are in the building and on the room's side of every pane, [n].
+
+    position: in room axes, m.
+    """
     low, high = np.array(scene.shell)
-    inside = ((p > low - EPSILON_M) & (p < high + EPSILON_M)).all(axis=1)
+    inside = ((position > low - EPSILON_M) & (position < high + EPSILON_M)).all(axis=1)
     for o in scene.openings:
-        inside &= (o.pane_m - p[:, o.axis]) * o.outward > 0
+        inside &= (o.pane_m - position[:, o.axis]) * o.outward > 0
     return inside

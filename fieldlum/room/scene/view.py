@@ -13,17 +13,18 @@ from fieldlum.optics.projection import direction, rotation
 from fieldlum.room.scene.box_room import BoxScene, build
 from fieldlum.room.scene.trace import SUN_RADIUS_DEG, SunPoints, ray_ends, sun_points
 
-# In each direction of a pixel, for sun patches: with 3 they had an error of 1.0e-4 to 1.6e-4 (log10
+# Rays in each direction of a pixel: with 3, sun patches had an error of 1.0e-4 to 1.6e-4 (log10
 # MSE) at 60 rows, with 8 of 1.1e-5 to 1.5e-5.
 MIN_RAYS, MAX_RAYS = 3, 8
 
 
 class SurfaceSamples(NamedTuple):
-    """Points of surfaces that pixels show, [m].
+    """Points of surfaces that pixels show, [m] each.
 
-    position [m, 3] m; axis and sign of the face's normal; box: index; pixel: index; weight: the
-    share of the pixel times the glass in between (or its mirror), so that luminance = sum of weight
-    x reflectance x E / pi; mirrored: seen by a reflection in a pane.
+    position [m, 3] m; axis and sign of the face's normal; box: index of the box; pixel: flat index
+    of the pixel; weight: share of the pixel, times the transmittance of the glass in between (or
+    the reflectance of a pane that mirrors it), so that luminance = sum of weight x reflectance x
+    illuminance / pi; mirrored: whether it is seen by a reflection in a pane.
     """
 
     position: Floats
@@ -37,11 +38,11 @@ class SurfaceSamples(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneView:
-    """The panorama's rays, traced once.
+    """What the pixels of a room's panorama show, traced once.
 
-    sky [H, W] : share of the pixel that sees the sky, times the glass. plain [H, W] : the same for
-    the open plain beyond the modelled ground. height: rows of the panorama; heading_deg: azimuth of
-    its centre column.
+    sky [H, W] : share of the pixel that sees the sky, times the transmittance of the glass. plain
+    [H, W] : the same for the open plain beyond the modelled ground. height: rows of the panorama;
+    heading_deg: azimuth of its centre column.
     """
 
     scene: BoxScene
@@ -57,7 +58,7 @@ class SceneView:
 
 
 def surface_points(scene: BoxScene, s: SurfaceSamples, pixels: int) -> SunPoints:
-    """Return samples as points whose sum in a pixel is its luminance per lx of normal sun.
+    """Return samples as points whose sum in a pixel is its luminance per lx on the sun's normal.
 
     s: samples [m]; pixels: number of pixels, to which the indices `s.pixel` belong.
     """
@@ -72,9 +73,9 @@ def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.in
     equal solid angles.
     """
     width = 2 * height
-    fine = (np.arange(height * sub) + 0.5) / sub
-    top, bottom = np.floor(fine), np.floor(fine) + 1
-    share = fine - top
+    fine_row = (np.arange(height * sub) + 0.5) / sub
+    top, bottom = np.floor(fine_row), np.floor(fine_row) + 1
+    share = fine_row - top
     z = np.cos(top / height * np.pi) * (1 - share) + np.cos(bottom / height * np.pi) * share
     altitude = np.degrees(np.arcsin(np.clip(z, -1, 1)))
     azimuth = heading_deg + ((np.arange(width * sub) + 0.5) / (width * sub) - 0.5) * 360.0
@@ -113,31 +114,32 @@ def camera_rays(scene: BoxScene, room: Room, world: Floats, heading_deg: float) 
     world [n, 3]: the directions if the camera were level; heading_deg: azimuth of the panorama's
     centre column. The tilt and the roll are those of `room`.
     """
-    level = rotation(0.0, room.camera_tilt_deg, room.camera_roll_deg, heading_deg)
-    return scene.to_room(world @ level.T)
+    from_level = rotation(0.0, room.camera_tilt_deg, room.camera_roll_deg, heading_deg)
+    return scene.to_room(world @ from_level.T)
 
 
 def trace_pixels(
     scene: BoxScene, pixel: NDArray[np.int32], rays: Floats, count: int
 ) -> tuple[SurfaceSamples, Floats32, Floats32]:
-    """Trace rays from the camera, as many in each of `count` pixels.
+    """Return what rays from the camera show: surface samples, and the shares of sky and plain.
 
-    pixel: of each ray [n], 0 to count - 1; rays: in room axes [n, 3]. Return the surface samples,
-    and the shares of the pixels that see sky and plain, times the glass [count] each. One mirror
+    The shares are of each of `count` pixels, times the transmittance of the glass, [count] each.
+    pixel: of each ray [n], 0 to count - 1, each as often; rays: in room axes [n, 3]. One mirror
     image in the panes counts.
     """
     share = count / len(rays)
-    both = ray_ends(scene, np.broadcast_to(scene.camera_m, rays.shape), rays)
+    straight, mirrored = ray_ends(scene, np.broadcast_to(scene.camera_m, rays.shape), rays)
     parts = []
-    for mirrored, e in enumerate(both):
-        on = np.flatnonzero(e.box >= 0)
-        faces = (e.axis[on], e.sign[on], e.box[on], pixel[e.row[on]])
-        parts.append((e.position[on], *faces, e.weight[on] * share, np.full(len(on), mirrored > 0)))
+    for ends in (straight, mirrored):
+        on = np.flatnonzero(ends.box >= 0)
+        faces = (ends.axis[on], ends.sign[on], ends.box[on], pixel[ends.row[on]])
+        is_mirrored = np.full(len(on), ends is mirrored)
+        parts.append((ends.position[on], *faces, ends.weight[on] * share, is_mirrored))
     samples = SurfaceSamples._make(np.concatenate(values) for values in zip(*parts, strict=True))
-    open_, up = both[0].box < 0, rays[:, 2] > 0
-    passed = (both[0].weight * share).astype(np.float32)
+    outdoors, up = straight.box < 0, rays[:, 2] > 0
+    weight = (straight.weight * share).astype(np.float32)
     sky, plain = (
-        np.bincount(pixel[rows], passed[rows], count).astype(np.float32)
-        for rows in (open_ & up, open_ & ~up)
+        np.bincount(pixel[rows], weight[rows], count).astype(np.float32)
+        for rows in (outdoors & up, outdoors & ~up)
     )
     return samples, sky, plain

@@ -75,6 +75,7 @@ def honeybee_model(room: Room, azimuths_deg: Sequence[float]) -> dict[str, Any]:
 
 
 def _material(kind: str, name: str, quantity: str, value: float) -> dict[str, Any]:
+    """Return a grey modifier of honeybee-radiance; quantity: reflectance or transmissivity."""
     # honeybee-radiance reads no material without these, although the schema has defaults
     more = {"specularity": 0.0, "roughness": 0.0}
     if kind == "Glass":
@@ -84,7 +85,7 @@ def _material(kind: str, name: str, quantity: str, value: float) -> dict[str, An
 
 
 def _of(kind: str, radiance: dict[str, str]) -> dict[str, Any]:
-    """Return the properties of an object of a kind, such as Face."""
+    """Return the properties of an object; kind: its type, such as Face; radiance: its modifier."""
     radiance = {"type": f"{kind}RadiancePropertiesAbridged", **radiance}
     return {"type": f"{kind}PropertiesAbridged", "radiance": radiance}
 
@@ -128,6 +129,7 @@ def _face(scene: BoxScene, inside: Box, name: str, axis: int, side: int) -> dict
 
 
 def _off_edges(span_m: Span, length_m: float) -> Span:
+    """Return the part of a span that is at least 5 mm from both ends of its wall, 0 and length."""
     return max(span_m[0], _EDGE_M), min(span_m[1], length_m - _EDGE_M)
 
 

@@ -1,4 +1,4 @@
-"""Sessions whose truth is known: a box room rendered at every planned slot.
+"""Simulate sessions whose truth is known: a box room rendered at every planned slot.
 
 The simulated camera and pyranometer read truth/<slot>.exr (a panorama and its separate sun) and
 truth/irradiance.csv. truth/pairs.csv lists the same panoramas, so that `train` and `bench` can use
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fieldlum.core.arrays import Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.files import remove_scraps, replacing_path, sha256
 from fieldlum.core.records import SiteFile, Slot
@@ -36,7 +37,7 @@ from fieldlum.sky.sky_view.picture import write_sky_picture
 from fieldlum.weather import Weather, weather_for
 
 _VERSION = 4  # of the rendering; increase it to render all hours again
-# rendered together: more would need more memory, fewer more multiplications
+# slots rendered together: more would need more memory, fewer more multiplications
 _SLOTS_A_UNIT = 16
 
 
@@ -82,9 +83,10 @@ def sample_slots(
 
 @dataclass(frozen=True, slots=True)
 class _Room:
-    """What decides how a session's room is traced.
+    """What decides how a session's room is traced; renderings with equal settings share the result.
 
-    key: sha256 of session.toml; pitch_deg: of the pictures around windows; workers: threads.
+    key: sha256 of session.toml; height: rows of the panoramas; quality: a key of `QUALITIES`;
+    pitch_deg: of the pixels of the pictures around windows; workers: threads.
     """
 
     key: str
@@ -96,7 +98,7 @@ class _Room:
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """Some slots to render with their light; coloured: with colours of sky, sun and surfaces."""
+    """Some slots to render, and the light of each; coloured: with colours of sky, sun, surfaces."""
 
     room: _Room
     coloured: bool
@@ -124,12 +126,12 @@ def run(
     setup, slots = session.site_file(), session.slots()
     for folder in (session.root, session.truth, session.truth / "sunpatches"):
         remove_scraps(folder)
-    build(box_room(setup))
+    build(box_room(setup))  # raises for an impossible room, before anything is deleted
     light, lit = _light_of(setup, slots, weather)
     pitch_deg = sensor_pitch_deg(load_camera_profile(setup.camera.profile))
     room = _Room(sha256(session.toml), height, quality, pitch_deg, workers)
     _delete_other_pictures(session, slots, weather, room, coloured)
-    missing = [int(k) for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
+    missing = [int(k) for k in np.flatnonzero(lit) if force or not _is_rendered(session, slots[k])]
     units = []
     for start in range(0, len(missing), _SLOTS_A_UNIT):
         rows = np.array(missing[start : start + _SLOTS_A_UNIT])
@@ -165,18 +167,18 @@ def render_slots(folder: Path, job: _Job) -> None:
     for k, slot in enumerate(job.slots):
         if fine is not None:
             write_sky_picture(session.truth_sky_picture(slot.id), fine.picture(truth, k))
-        seen = room.as_panorama(truth, k)
-        patch = {"luminance_cdm2": truth.patch_cdm2[k], "attributes": {"direct": "only"}}
-        direct = replace(seen, rgb=None, **patch)
-        places = (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id))
-        for place, panorama in zip(places, (seen, direct), strict=True):
-            with replacing_path(place) as path:
-                write_panorama(path, panorama)
+        panorama = room.as_panorama(truth, k)
+        direct = {"luminance_cdm2": truth.patch_cdm2[k], "attributes": {"direct": "only"}}
+        patches = replace(panorama, rgb=None, **direct)
+        with replacing_path(session.truth_panorama(slot.id)) as path:
+            write_panorama(path, panorama)
+        with replacing_path(session.truth_sunpatch(slot.id)) as path:
+            write_panorama(path, patches)
 
 
 @lru_cache(maxsize=1)
 def _traced(root: Path, how: _Room) -> tuple[LitRoom, FineWindows | None]:
-    """Trace a session's room and windows once in each process; `how.key` tells sessions apart."""
+    """Trace a session's room and windows once in each process; `how.key` separates sessions."""
     setup = Session(root).site_file()
     room = lit_room(setup, height=how.height, quality=how.quality, workers=how.workers)
     return room, fine_windows(room, how.pitch_deg)
@@ -191,11 +193,14 @@ def make_session(out: Path, setup: SiteFile, slots: Sequence[Slot], about: PlanT
     return create_session(out, setup, in_order, {**about, "slots": len(slots)})
 
 
-def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple[Light, np.ndarray]:
+def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple[Light, Mask]:
+    """Return the light of the slots, and a mask, True for slots that have sun or sky light.
+
+    The mask [len(slots)] is False if the sun is down or DNI and DHI are 0 or missing.
+    """
     times = [slot.t_utc for slot in slots]
-    weather_then = weather.at(times)
-    dni = np.nan_to_num(weather_then.dni_wm2)
-    dhi = np.nan_to_num(weather_then.dhi_wm2)
+    irradiance = weather.at(times)
+    dni, dhi = np.nan_to_num(irradiance.dni_wm2), np.nan_to_num(irradiance.dhi_wm2)
     light = light_at(times, setup.site, dni, dhi)
     return light, (dni + dhi > 0) & (light.sun_altitude_deg > 0)
 
@@ -203,10 +208,11 @@ def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple
 def _delete_other_pictures(
     session: Session, slots: Sequence[Slot], weather: Weather, how: _Room, coloured: bool
 ) -> None:
-    """Delete the slots' rendered pictures of another room, size, quality or weather.
+    """Delete the slots' pictures if truth/made.json states another rendering than this one.
 
-    how: the room and how it is rendered; coloured: whether the pictures have colours. Otherwise an
-    interrupted run could leave a mixture.
+    It states room, size, quality, weather and colours, and is written again. Otherwise an
+    interrupted run could leave a mixture. how: how the room is rendered; coloured: whether the
+    pictures have colours.
     """
     path, setup = session.truth / "made.json", session.site_file()
     irradiance = np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4")
@@ -223,14 +229,15 @@ def _delete_other_pictures(
     write_object(path, now)
 
 
-def _done(session: Session, slot: Slot) -> bool:
+def _is_rendered(session: Session, slot: Slot) -> bool:
+    """Return whether the slot's panorama and sun patches were rendered by an earlier run."""
     return session.truth_panorama(slot.id).is_file() and session.truth_sunpatch(slot.id).is_file()
 
 
 def _write_irradiance(session: Session, weather: Weather, slots: Sequence[Slot]) -> None:
     """Write truth/irradiance.csv over the planned days.
 
-    Readers interpolate between its rows: a steady hour has two.
+    Each hour has two rows, at its begin and end, because readers interpolate between rows.
     """
     days = sorted({sun.standard_date(slot.t_utc, weather.site.timezone) for slot in slots})
     times: list[datetime] = []
@@ -247,11 +254,12 @@ def _write_irradiance(session: Session, weather: Weather, slots: Sequence[Slot])
 
 
 def write_pairs(
-    session: Session, slots: Sequence[Slot], light: Light, lit: np.ndarray, weather: Weather
+    session: Session, slots: Sequence[Slot], light: Light, lit: Mask, weather: Weather
 ) -> None:
     """Write pairs.csv: the rendered panorama and the light of each slot, as if it was measured.
 
-    light: of all slots; lit [len(slots)]: True for rendered ones, others get ok = 0; weather: GHI.
+    light: of all slots; lit [len(slots)]: True for rendered slots, others get ok = 0; weather: for
+    the global irradiance.
     """
     ghi = np.nan_to_num(weather.at([slot.t_utc for slot in slots]).ghi_wm2)
     columns = (light.dni_wm2, light.dhi_wm2, ghi, light.sun_altitude_deg, light.sun_azimuth_deg)

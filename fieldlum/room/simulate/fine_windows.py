@@ -26,17 +26,17 @@ from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 
 _SUB = 2  # rays in each direction of a fine pixel: a camera's own pixel averages several
 _BLOCK_RAYS = 1_000_000  # rays traced at a time; limits memory only
-_NEIGHBOURS = 3  # points of the panorama whose light a fine sample has
+_NEIGHBOURS = 3  # number of the panorama's points whose light is averaged for a fine sample
 
 
 @dataclass(frozen=True)
 class FineWindows:
     """The p fine pixels around a room's windows, traced once.
 
-    grid: of all of them; pixel [p]: flat index into the grid; rays [p, 3]: the pixels' true
-    directions in world axes; sky, plain [p]: share of the pixel that sees them, times the glass;
-    sun: surface points for direct sun; to_pixels: CSR [p, m], from the irradiance of the
-    panorama's points to the pixels' luminance.
+    grid: that holds all of them; pixel [p]: flat index into the grid; rays [p, 3]: the pixels' true
+    directions in world axes; sky, plain [p]: share of the pixel that sees sky or plain, times the
+    transmittance of the glass; sun: surface points for direct sun; to_pixels: CSR [p, m], from the
+    illuminance of the panorama's m points to the pixels' luminance.
     """
 
     grid: SkyGrid
@@ -48,26 +48,29 @@ class FineWindows:
     to_pixels: Any
 
     def picture(self, rendering: Rendering, k: int) -> SkyPicture:
-        """Return moment `k` (from 0) of a rendering, without the sun's disc."""
+        """Return moment `k` (from 0) of a rendering, without the sun's disc.
+
+        Luminance is NaN in the grid's pixels that are not around windows.
+        """
         light = rendering.light[[k]]
-        value = np.asarray(self.to_pixels @ rendering.points_lx[:, k], np.float32)
+        luminance = np.asarray(self.to_pixels @ rendering.points_lx[:, k], np.float32)
         direct_lx = float(light.direct_lx[0])
         if direct_lx > 0:
             toward = self.sun.scene.to_room(light.apparent_sun_direction)[0]
-            value += self.sun.direct(toward) * np.float32(direct_lx)
+            luminance += self.sun.direct(toward) * np.float32(direct_lx)
         seen_sky = np.flatnonzero(self.sky)
-        value[seen_sky] += light.sky_at(self.rays[seen_sky])[0] * self.sky[seen_sky]
-        value += np.float32(light.sky.ground_cdm2[0]) * self.plain
-        out = np.full(self.grid.height * self.grid.width, np.nan, np.float32)
-        out[self.pixel] = value
-        shape = (self.grid.height, self.grid.width)
-        return SkyPicture(out.reshape(shape), np.zeros(shape, bool), self.grid)
+        luminance[seen_sky] += light.sky_at(self.rays[seen_sky])[0] * self.sky[seen_sky]
+        luminance += np.float32(light.sky.ground_cdm2[0]) * self.plain
+        out = np.full((self.grid.height, self.grid.width), np.nan, np.float32)
+        out.flat[self.pixel] = luminance
+        return SkyPicture(out, np.zeros(out.shape, bool), self.grid)
 
 
 def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:
-    """Trace the windows of a room with pixels of at most `pitch_deg`; None without a window.
+    """Trace the windows of a room with pixels of at most `pitch_deg`; None if it shows no window.
 
-    A pixel of the panorama is divided into equal parts in each direction, so that both grids match.
+    lit: the room as traced for its panorama. A pixel of the panorama is divided into equal parts in
+    each direction, so that both grids match.
     """
     from scipy.sparse import csr_matrix
 
@@ -81,29 +84,32 @@ def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:
     rays = np.empty((len(pixel), 3))
     sky, plain = np.zeros((2, len(pixel)), np.float32)
     blocks: list[SurfaceSamples] = []
-    codes: list[NDArray[np.int64]] = []
+    faces: list[NDArray[np.int64]] = []
     for part, row, world in _blocks(grid, pixel):
         toward = camera_rays(scene, room, world, view.heading_deg)
         count = part.stop - part.start
         samples, sky[part], plain[part] = trace_pixels(scene, row, toward, count)
         middle = toward.reshape(count, _SUB**2, 3).mean(axis=1) @ scene.turn
         rays[part] = middle / np.linalg.norm(middle, axis=1, keepdims=True)
-        samples, code = joined(samples)
+        samples, face = joined(samples)
         blocks.append(samples._replace(pixel=samples.pixel + np.int32(part.start)))
-        codes.append(code)
+        faces.append(face)
     s = SurfaceSamples._make(np.concatenate(values) for values in zip(*blocks, strict=True))
     reach_m = np.linalg.norm(s.position - scene.camera_m, axis=1) * np.pi / view.height
-    places, points = (s.position, np.concatenate(codes)), (lit.samples.position, lit.faces)
-    light = near_light(places, points, _NEIGHBOURS, reach_m)
+    places, points = (s.position, np.concatenate(faces)), (lit.samples.position, lit.faces)
+    illuminance = near_light(places, points, _NEIGHBOURS, reach_m)  # from points to samples
     luminance = (s.weight * scene.reflectance[s.box] / np.pi).astype(np.float32)
     n = len(luminance)
-    to_pixels = csr_matrix((luminance, (s.pixel, np.arange(n))), (len(pixel), n)) @ light
-    points_of = surface_points(scene, s, len(pixel))
-    return FineWindows(grid, pixel, rays, sky, plain, points_of, to_pixels.tocsr())
+    to_pixels = csr_matrix((luminance, (s.pixel, np.arange(n))), (len(pixel), n)) @ illuminance
+    sun = surface_points(scene, s, len(pixel))
+    return FineWindows(grid, pixel, rays, sky, plain, sun, to_pixels.tocsr())
 
 
 def _near_windows(view: SceneView) -> Mask:
-    """Return the pixels that show a pane, a frame or what is outside, and their neighbours."""
+    """Return a mask [H, W], True for pixels that show a pane, a frame or the outside, or are next.
+
+    Neighbours across a corner count.
+    """
     from scipy.ndimage import maximum_filter
 
     s, near = view.samples, (view.sky + view.plain).ravel() > 0
@@ -113,20 +119,21 @@ def _near_windows(view: SceneView) -> Mask:
 
 
 def _grid_of(near: Mask, parts: int, heading_deg: float) -> tuple[SkyGrid, Mask]:
-    """Return the smallest grid around the marked pixels, divided, and its covered pixels [h, w].
+    """Return the smallest fine grid around marked pixels, and a mask of its fine pixels in them.
 
-    near: mask [H, 2 H] of a panorama; parts: of a pixel in each direction.
+    near: mask [H, 2 H] of a panorama; parts: number of fine pixels in a pixel in each direction;
+    heading_deg: azimuth of the panorama's centre column. The mask is [grid.height, grid.width].
     """
     height = len(near)
     rows = np.flatnonzero(near.any(axis=1))
-    first, span = smallest_arc(np.asarray(near.any(axis=0)))
+    first, span = smallest_arc(np.asarray(near.any(axis=0)))  # of columns
     cut = near[rows[0] : rows[-1] + 1][:, (first + np.arange(span)) % (2 * height)]
-    coarse = 180.0 / height
+    pixel_deg = 180.0 / height
     start = (first + height) % (2 * height) - height
     grid = SkyGrid(
-        first_altitude_deg=float(90.0 - rows[0] * coarse),
-        first_azimuth_deg=start * coarse - 180.0,
-        step_deg=coarse / parts,
+        first_altitude_deg=float(90.0 - rows[0] * pixel_deg),
+        first_azimuth_deg=start * pixel_deg - 180.0,
+        step_deg=pixel_deg / parts,
         heading_deg=heading_deg,
         height=parts * len(cut),
         width=parts * span,
@@ -135,9 +142,10 @@ def _grid_of(near: Mask, parts: int, heading_deg: float) -> tuple[SkyGrid, Mask]
 
 
 def _blocks(grid: SkyGrid, pixel: Indices) -> Iterator[tuple[slice, NDArray[np.int32], Floats]]:
-    """Yield blocks of pixels: a slice, each ray's pixel in it [n], and world rays [n, 3].
+    """Yield blocks of fine pixels: a slice of `pixel`, each ray's index in it [n], and rays [n, 3].
 
-    The rays of a pixel follow each other.
+    pixel: flat indices into the grid [p]. Rays are directions in world axes; those of a pixel
+    follow each other.
     """
     size = max(1, _BLOCK_RAYS // _SUB**2)
     step = (np.arange(_SUB) + 0.5) / _SUB
@@ -146,6 +154,6 @@ def _blocks(grid: SkyGrid, pixel: Indices) -> Iterator[tuple[slice, NDArray[np.i
         block = slice(start, min(start + size, len(pixel)))
         row, column = np.divmod(pixel[block], grid.width)
         altitude = grid.first_altitude_deg - (row[:, None] + down) * grid.step_deg
-        turn = grid.first_azimuth_deg + (column[:, None] + across) * grid.step_deg
-        rays = direction(altitude, grid.heading_deg + turn).reshape(-1, 3)
+        azimuth = grid.first_azimuth_deg + (column[:, None] + across) * grid.step_deg
+        rays = direction(altitude, grid.heading_deg + azimuth).reshape(-1, 3)
         yield block, np.arange(len(row)).repeat(_SUB**2).astype(np.int32), rays
