@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from fieldlum.core.arrays import Floats, Indices
+from fieldlum.core.arrays import Floats, Floats32, Indices
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
@@ -30,7 +30,6 @@ from fieldlum.sky.daylight_kernel import Kernel, facades_of, light_features
 if TYPE_CHECKING:
     from fieldlum.learn.models.training_data import Dataset
 
-Array = NDArray[np.floating]
 
 # From a study of two rooms rendered by Radiance, before this code was written. docs/scene.md has
 # later measurements.
@@ -64,28 +63,23 @@ class SceneEvidence:
     each pixel, x east, y north, z up by the stated heading; pixel [r]: index below m of each ray;
     days [n]; clock [41, n, 2]: altitude and azimuth of the sun, deg, if the stated time were -20,
     -19 ... 20 min after the true time; rows [n]: indices of the hours in the captures; pixels [m]:
-    flat indices in the panorama of `shape`.
+    flat indices in the panorama; spread: angle between neighbouring rays [rad].
     """
 
-    log_seen: Array
-    below: Array
-    direct_lx: Array
-    rays: NDArray[np.float32]
-    pixel: NDArray[np.intp]
+    log_seen: Floats
+    below: Floats
+    direct_lx: Floats
+    rays: Floats32
+    pixel: Indices
     days: NDArray[np.datetime64]
-    clock: Array
-    rows: NDArray[np.intp]
-    pixels: NDArray[np.intp]
-    shape: tuple[int, int]
+    clock: Floats
+    rows: Indices
+    pixels: Indices
     sub: int
+    spread: float
 
     def __len__(self) -> int:
         return len(self.rows)
-
-    @property
-    def spread(self) -> float:
-        """The angle between neighbouring rays [rad]."""
-        return np.pi / self.shape[0] / self.sub
 
     def coarse(self) -> SceneEvidence:
         """Return the evidence of about `COARSE_PIXELS` pixels, evenly from all.
@@ -104,7 +98,7 @@ class SceneEvidence:
             pixels=self.pixels[keep],
         )
 
-    def suns_room(self, guess: Guess) -> NDArray[np.float32]:
+    def suns_room(self, guess: Guess) -> Floats32:
         """Return unit vectors to the sun in room axes, by the guess's north and clock, [n, 3]."""
         minutes = guess.clock_min + _CLOCK_REACH_MIN  # after the first row of `clock`
         row = int(np.clip(np.floor(minutes), 0, len(self.clock) - 2))
@@ -113,7 +107,7 @@ class SceneEvidence:
         world = sun.direction(altitude, azimuth - guess.north_deg)
         return (world @ guess.turn.T).astype(np.float32)
 
-    def patches(self, guess: Guess, albedo: Array) -> Array:
+    def patches(self, guess: Guess, albedo: Floats) -> Floats:
         """Return the luminance of the guess's sun patches, cd/m2 [n, m].
 
         albedo: of west, east, south and north wall, floor and ceiling [6]; solids have their own.
@@ -122,7 +116,7 @@ class SceneEvidence:
         tones = np.append(albedo, [solid.albedo for solid in guess.solids])
         return self._shine(guess, surfaces(guess, self.rays, self.spread), tones)
 
-    def _shine(self, guess: Guess, ends: Surfaces, tones: Array) -> Array:
+    def _shine(self, guess: Guess, ends: Surfaces, tones: Floats) -> Floats:
         """Return the luminance of sun patches where rays end, cd/m2 [n, m].
 
         ends: of the rays in the guess; tones: albedos of the shell's surfaces and the solids [6 +
@@ -132,7 +126,7 @@ class SceneEvidence:
         shine = unit_patches(guess, ends, suns, self.pixel, self.sub, tone)
         return (self.direct_lx[:, None] / np.pi).astype(np.float32) * shine
 
-    def relit(self, data: Dataset, patch: Array) -> SceneEvidence:
+    def relit(self, data: Dataset, patch: Floats) -> SceneEvidence:
         """Return the evidence with `below`, the light without direct sun, estimated again.
 
         data: all captures; patch: luminance of sun patches, which is subtracted, cd/m2 [n, m].
@@ -150,12 +144,12 @@ class SceneEvidence:
         return replace(self, below=np.maximum(level, MIN_CDM2).astype(np.float32))
 
     @property
-    def directions(self) -> Array:
+    def directions(self) -> Floats:
         """The mean direction of each pixel's rays, unit vectors [m, 3]: x east, y north, z up."""
         total = np.stack([np.bincount(self.pixel, self.rays[:, k]) for k in range(3)], axis=1)
         return total / np.linalg.norm(total, axis=1, keepdims=True)
 
-    def misfit(self, patch: Array) -> Array:
+    def misfit(self, patch: Floats) -> Floats:
         """Return the share of the pixels that are wrong with some patches in each hour, [n].
 
         patch: luminance of sun patches, cd/m2 [n, m]. The share is the mean of e^2 / (e^2 + 1.5^2),
@@ -163,7 +157,7 @@ class SceneEvidence:
         """
         return _saturated(np.log(self.below + patch) - self.log_seen).mean(axis=1)
 
-    def albedos(self, guess: Guess, start: Array) -> Array:
+    def albedos(self, guess: Guess, start: Floats) -> Floats:
         """Return the albedo of each surface with which its sun patches fit best, [6].
 
         Surfaces are west, east, south and north wall, floor and ceiling. Of the values from 0.03 to
@@ -193,7 +187,7 @@ class SceneEvidence:
         return albedo
 
 
-def _saturated(log_error: Array) -> Array:
+def _saturated(log_error: Floats) -> Floats:
     """Return by how much a pixel counts as wrong, from 0 to 1, by its error of ln luminance."""
     squared = log_error**2
     return squared / (squared + WIDTH**2)
@@ -242,13 +236,13 @@ def scene_evidence(
         clock=_clock_table(data, rows),
         rows=rows,
         pixels=chosen,
-        shape=data.shape,
         sub=sub,
+        spread=np.pi / data.shape[0] / sub,
     )
     return evidence.relit(data, np.zeros_like(evidence.below))
 
 
-def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
+def _clock_table(data: Dataset, rows: Indices) -> Floats:
     """Return altitude and azimuth of the sun, deg, for each minute of the clock's error, [c, n, 2].
 
     Stated times are -20 ... 20 min after the true ones. The captures' own sun angles are shifted by
@@ -309,7 +303,7 @@ _RIDGE = 1e-3  # share of the mean diagonal that makes the system solvable; chos
 _PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light below; chosen
 
 
-def indirect_component(data: Dataset, seen: Array, patch: Array) -> Array:
+def indirect_component(data: Dataset, seen: Floats, patch: Floats) -> Floats:
     """Estimate the luminance that m pixels would show in n captures without direct sun on them.
 
     data: the captures, for their light and room; seen: captured luminance; patch: luminance of
@@ -350,12 +344,12 @@ def indirect_component(data: Dataset, seen: Array, patch: Array) -> Array:
     return np.maximum(fit * scale * total_lx, MIN_CDM2)
 
 
-def _trust(patch: Array, seen: Array) -> Array:
+def _trust(patch: Floats, seen: Floats) -> Floats:
     """Return the weight of values, 0 to 1, lower where a patch is most of the captured light."""
     return 1.0 / (1.0 + (patch / (_PATCH_SHARE * seen)) ** 2)
 
 
-def levelled(below: Array, seen: Array, patch: Array, directions: Array) -> Array:
+def levelled(below: Floats, seen: Floats, patch: Floats, directions: Floats) -> Floats:
     """Return the light below patches, corrected for each hour by a smooth factor, [n, m] cd/m2.
 
     below: luminance estimated without direct sun; seen: captured; patch: of known sun patches; each

@@ -28,6 +28,7 @@ from fieldlum.room.fit.parameters import (
 )
 from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.fit.search import STEP_SHARES, SceneCost, covariance, prior_unit, search
+from fieldlum.room.fit.sunny_hours import MIN_SUNNY_HOURS
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.training_data import Dataset
@@ -86,7 +87,8 @@ def fit_scene(
 class SceneSearch:
     """State of one fit: the present guess, and the evidence and albedos that belong to it.
 
-    data, room: captures and stated box. pose: pose and clock by sun discs, None without.
+    data, room: captures and stated box. pose: pose and clock by sun discs, None without. start: the
+    stated box as a guess.
     parameters: those of the room, which have a prior. albedo: of west, east, south and north wall,
     floor and ceiling [6]. unit: cost of one standard deviation of one parameter.
     """
@@ -98,10 +100,14 @@ class SceneSearch:
         pose: PosePrior | None = None,
         clock_sd_min: float = CLOCK_SD_MIN,
         pixels: int = PIXELS,
+        min_hours: int = MIN_SUNNY_HOURS,
     ) -> None:
-        """Prepare the search for a room; the arguments are those of `fit_scene`."""
+        """Prepare the search for a room; the arguments are those of `fit_scene`.
+
+        Raises NotEnoughDataError for fewer than `min_hours` captures with direct sun on a window.
+        """
         self.data, self.room, self.pose = data, room, pose
-        self.evidence = scene_evidence(data, room, pixels=pixels)
+        self.evidence = scene_evidence(data, room, pixels=pixels, min_hours=min_hours)
         self.start = self.guess = guess_of(room, data.heading_deg)
         self.parameters = room_parameters(self.start, clock_sd_min) + glass_parameters(self.start)
         self.albedo = self.evidence.albedos(self.start, stated_albedo(room))
@@ -120,7 +126,7 @@ class SceneSearch:
         """
         step(10, "box and clock")
         start = self.start if self.pose is None else self.pose.applied(self.start)
-        self._accept(search(self.cost(coarse=True), start, self.parameters)[0])
+        self.accept(search(self.cost(coarse=True), start, self.parameters)[0])
         self._search_all()
         self._prune(kinds)
         for number in range(MAX_ROUNDS):
@@ -128,7 +134,7 @@ class SceneSearch:
             more = self._with_more(kinds)
             if more is self.guess:
                 break
-            self._accept(more)
+            self.accept(more)
             self._search_all(STEP_SHARES[1:2])
             self._prune(kinds)
         step(80, "all together")
@@ -138,7 +144,7 @@ class SceneSearch:
     def _search_all(self, step_shares: Sequence[float] = STEP_SHARES[1:]) -> None:
         """Search all parameters again; the light without direct sun is that of the last guess."""
         parameters = all_parameters(self.guess, self.parameters)
-        self._accept(search(self.cost(), self.guess, parameters, step_shares)[0])
+        self.accept(search(self.cost(), self.guess, parameters, step_shares)[0])
 
     def _with_more(self, kinds: Sequence[Kind]) -> Guess:
         """Return the guess with more elements: of the best proposals, each that saves enough cost.
@@ -188,7 +194,7 @@ class SceneSearch:
             guess = guess if self._gain(without, guess) > minimum else without
         self.guess = guess
 
-    def _accept(self, guess: Guess) -> None:
+    def accept(self, guess: Guess) -> None:
         """Set the guess and its albedos, and estimate the light without direct sun again."""
         self.guess = guess
         self.albedo = self.evidence.albedos(guess, stated_albedo(self.room))

@@ -15,10 +15,10 @@ from fieldlum.core.records import SiteFile
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.checks import turned_windows_note
-from fieldlum.room.fit.evidence import COARSE_PIXELS, scene_evidence
-from fieldlum.room.fit.guess import guess_of
-from fieldlum.room.fit.parameters import room_parameters, stated_albedo
-from fieldlum.room.fit.search import STEP_SHARES, SceneCost, covariance, prior_unit, search
+from fieldlum.room.fit.evidence import COARSE_PIXELS
+from fieldlum.room.fit.fit import SceneSearch
+from fieldlum.room.fit.parameters import room_parameters
+from fieldlum.room.fit.search import STEP_SHARES, covariance, search
 from fieldlum.room.scene.box_room import is_box_with_window
 
 MIN_HOURS = 3  # sunny captures that a test needs; chosen
@@ -60,39 +60,33 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
         return Misplacement(note=note)
     progress(0, 100, "setting: light without patches")
     try:
-        evidence = scene_evidence(data, room, pixels=COARSE_PIXELS, min_hours=MIN_HOURS)
+        state = SceneSearch(data, room, pixels=COARSE_PIXELS, min_hours=MIN_HOURS)
     except NotEnoughDataError:
         return None
-    start = guess_of(room, data.heading_deg)
     # A wrong north or clock has no prior: a compass near steel is off by any angle.
-    parameters = [
+    parameters = state.parameters = [
         replace(p, sd=np.inf) if p.name in ("north_deg", "clock_min") else p
-        for p in room_parameters(start)
+        for p in room_parameters(state.start)
     ]
-    guess, albedo = start, evidence.albedos(start, stated_albedo(room))
     progress(30, 100, "setting: north, clock and room")
-    unit = prior_unit(evidence, start, albedo)
     # the first estimate of the light below the patches includes a part of them
     for step_shares in (STEP_SHARES, STEP_SHARES[1:]):
-        cost = SceneCost(evidence, start, parameters, albedo, unit)
-        guess, _ = search(cost, guess, parameters, step_shares)
-        albedo = evidence.albedos(guess, stated_albedo(room))
-        evidence = evidence.relit(data, evidence.patches(guess, albedo))
-    cost = SceneCost(evidence, start, parameters, albedo, unit)
-    guess, final = search(cost, guess, parameters, STEP_SHARES[1:])
+        state.accept(search(state.cost(), state.guess, parameters, step_shares)[0])
+    cost = state.cost()
+    guess, final = search(cost, state.guess, parameters, STEP_SHARES[1:])
     u_steps = np.sqrt(np.diag(covariance(cost, guess, parameters)))
     off: dict[str, tuple[float, float]] = {}
     for p, steps in zip(parameters, u_steps.tolist(), strict=True):
-        by, u = p.measured(guess) - p.measured(start), steps * p.step
+        by, u = p.measured(guess) - p.measured(state.start), steps * p.step
         enough = max(MIN_UNCERTAINTIES * u, MIN_OFF.get(p.name, TAPE_SDS * p.sd))
         if abs(by) > enough and p.name not in ("tilt_deg", "roll_deg"):
             off[p.name] = (by, u)
     # Lengths also absorb what the room has and a box lacks: they count if nothing else is wrong.
     off = {name: value for name, value in off.items() if name in MIN_OFF} or off
-    gain = 1.0 - final / cost(start)
+    gain, hours = 1.0 - final / cost(state.start), len(state.evidence)
     if off and gain > MIN_GAIN:
-        return Misplacement(off, gain=gain, hours=len(evidence))
-    return Misplacement(hours=len(evidence))
+        return Misplacement(off, gain=gain, hours=hours)
+    return Misplacement(hours=hours)
 
 
 def warnings_of(misplacement: Misplacement | None, setup: SiteFile) -> list[str]:

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.core.arrays import Floats, Floats32, Indices
 from fieldlum.room.fit.guess import Guess
 from fieldlum.room.scene.box_room import WALLS, glass_optics
 from fieldlum.room.scene.trace import EPSILON_M, HARD_M, add_through, nearest_box
 
-Float32 = NDArray[np.float32]
-Array = NDArray[np.floating]
-
-# Surfaces of the shell: twice the axis of the normal, plus one at the high end.
-WEST, EAST, SOUTH, NORTH, FLOOR, CEILING = range(6)
+# Surfaces of the shell, west, east, south and north wall, floor and ceiling, are numbered by twice
+# the axis of the normal, plus one at the high end.
+FLOOR = 4
 SHELL = 6  # number of the shell's surfaces; solids have the numbers from here on
 OUTSIDE = -1  # a ray that leaves through a window
 _THICK_M = 1.0  # thickness of the boxes around the room; chosen, no ray passes them
@@ -35,14 +34,14 @@ class Surfaces:
     neighbouring rays, of which a pixel has several, times the ray's length.
     """
 
-    position_m: Array
+    position_m: Floats
     axis: NDArray[np.int8]
     sign: NDArray[np.int8]
     surface: NDArray[np.int16]
-    spread_m: Float32
+    spread_m: Floats32
 
 
-def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces:
+def surfaces(guess: Guess, rays_world: Floats32, spread: float = 0.0) -> Surfaces:
     """Return where camera rays end in the guess.
 
     rays_world: unit vectors [r, 3] in stated world axes: x east, y north, z up by the stated
@@ -72,8 +71,8 @@ def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces
 
 
 def unit_patches(
-    guess: Guess, ends: Surfaces, suns_room: Array, pixel: NDArray[np.intp], sub: int, tone: Array
-) -> Array:
+    guess: Guess, ends: Surfaces, suns_room: Floats, pixel: Indices, sub: int, tone: Floats
+) -> Floats:
     """Return the sun patches of n suns in m pixels, per lx on the sun's normal, [n, m].
 
     A pixel has the mean, over its rays, of tone x cosine x glass x visible share of the sun. Times
