@@ -86,6 +86,7 @@ def merged_brackets(session: Session) -> list[BracketInterval]:
     usual = dict(Counter(each.camera for each in brackets if each.camera).most_common(1))
 
     def compared(bracket: BracketInterval) -> BracketInterval:
+        """Return the bracket with `double_of` and `camera` by comparison with all brackets."""
         sharing = (slot for frame in bracket.frames for slot in slots_of[frame])
         other = next((slot for slot in sharing if slot != bracket.slot), "")
         camera = "" if bracket.camera in usual else bracket.camera
@@ -97,7 +98,7 @@ def merged_brackets(session: Session) -> list[BracketInterval]:
 def _bracket_of(session: Session, path: Path) -> BracketInterval:
     """Return the times and quality of a panorama's bracket, by capture.json and sidecar.
 
-    Raises InputError if neither these nor the panorama's name `path` state a time.
+    path: of the panorama. Raises InputError if neither these files nor its name state a time.
     """
     slot = path.stem
     capture = CaptureFile.find(session.capture_file(slot))
@@ -237,11 +238,8 @@ def _complete_suns(
     times the share of the beam by the sky view.
     """
     light = _light(session, brackets, rows)
-    expected = zip(light.direct_lx, light.apparent_altitude_deg, strict=True)
-    sightings = [
-        _shown_by(bracket, float(lx), float(altitude))
-        for bracket, (lx, altitude) in zip(brackets, expected, strict=True)
-    ]
+    beams_lx, altitudes_deg = light.direct_lx.tolist(), light.apparent_altitude_deg.tolist()
+    sightings = list(map(_shown_by, brackets, beams_lx, altitudes_deg))
     view = write_sky_view(session, sightings, light, setup.site, force=force)
     shares, by_view = shares_of_beam(view, setup.room, light)
     patches = write_patches(session, setup, brackets, light, force, scheduler)

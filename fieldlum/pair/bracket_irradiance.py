@@ -62,12 +62,10 @@ def _worst_distance_s(t_unix_s: Floats, start_s: float, end_s: float) -> float:
 
     t_unix_s: of the rows [n]; start_s, end_s: of the bracket, unix time. Infinite without rows.
     """
-    if len(t_unix_s) == 0:
-        return float("inf")
     # the distance is largest at an end of the bracket, or half way between two rows
     middles = (t_unix_s[1:] + t_unix_s[:-1]) / 2.0
     moments = np.r_[start_s, end_s, middles[(middles > start_s) & (middles < end_s)]]
-    return float(np.abs(moments[:, None] - t_unix_s).min(axis=1).max())
+    return float(np.abs(moments[:, None] - t_unix_s).min(axis=1, initial=np.inf).max())
 
 
 def _missing_text(

@@ -159,6 +159,7 @@ def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
     heading_deg = captures[0].heading_deg
 
     def in_lens(rays: Floats) -> Mask:
+        """Return a mask [p] of the directions [p, 3] that a lens saw in most captures."""
         row, column = equirect_pixel(*altitude_azimuth_deg(rays), height, width, heading_deg)
         return often[np.minimum(row.astype(int), height - 1), column.astype(int) % width]
 

@@ -39,6 +39,7 @@ class Light:
     refraction: bool = True
 
     def __len__(self) -> int:
+        """Return the number of times."""
         return len(self.t_utc)
 
     def __getitem__(self, rows: slice | Array | Sequence[int]) -> Light:

@@ -91,6 +91,7 @@ class Features:
     changed: Floats | None = None
 
     def __len__(self) -> int:
+        """Return the number of hours."""
         return len(self.beam)
 
     def __getitem__(self, rows: slice | Array | Sequence[int]) -> Features:

@@ -62,7 +62,7 @@ def complete_days(t_unix_s: Floats, ghi_wm2: Floats) -> list[tuple[float, float]
     ends = np.flatnonzero(lit & ~np.r_[lit[1:], True])
     ends = ends[ends >= starts.min(initial=len(lit))]
     days: list[tuple[int, int]] = []
-    for start, end in zip(starts, ends, strict=False):
+    for start, end in zip(starts, ends, strict=False):  # a spell at the log's end has no end
         if days and t_unix_s[start] - t_unix_s[days[-1][1]] < _LONGEST_STORM_S:
             days[-1] = days[-1][0], int(end)
         else:

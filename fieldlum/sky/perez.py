@@ -49,6 +49,7 @@ class SkyPatches:
     solid_angles_sr: Floats
 
     def __len__(self) -> int:
+        """Return the number of patches."""
         return len(self.solid_angles_sr)
 
 
@@ -115,6 +116,7 @@ class PerezSky:
     diffuse_lx: Floats
 
     def __getitem__(self, index: object) -> PerezSky:
+        """Return the skies that an index array, a boolean array or a slice selects."""
         return PerezSky(**{n: getattr(self, n)[index] for n in self.__dataclass_fields__})
 
 

@@ -91,7 +91,8 @@ def wrong_axes(
     ahead = signed_angle_deg(azimuth - heading_deg)  # of the sun from the centre column
     within_deg = max(_WITHIN_DEG, 2.5 * 180.0 / rows)  # two pixels and a half; chosen
 
-    def explained(altitude_deg: Floats, ahead_deg: Floats) -> Mask:  # captures that show it there
+    def explained(altitude_deg: Floats, ahead_deg: Floats) -> Mask:
+        """Return which captures show the disc this far from horizon and centre column, [n]."""
         across = signed_angle_deg(heading_deg + ahead_deg - shown_azimuth)
         across = across * np.cos(np.radians(altitude_deg))
         return np.hypot(altitude_deg - shown_altitude, across) < within_deg

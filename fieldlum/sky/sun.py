@@ -309,9 +309,7 @@ def wrong_level(
     ghi_wm2, dhi_wm2, altitude_deg (true) : [n]. A row is clear if its diffuse irradiance is under a
     fifth of the global. Fewer than ten clear rows give "".
     """
-    with np.errstate(invalid="ignore"):
-        clear = (dhi_wm2 < 0.2 * ghi_wm2) & (ghi_wm2 > 50.0) & (altitude_deg > 15.0)
-    rows = np.flatnonzero(clear)
+    rows = np.flatnonzero((dhi_wm2 < 0.2 * ghi_wm2) & (ghi_wm2 > 50.0) & (altitude_deg > 15.0))
     if len(rows) < 10:
         return ""
     rows = rows[evenly_spread(len(rows), 500)]

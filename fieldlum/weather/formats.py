@@ -327,6 +327,7 @@ def _read_tmy3(path: Path, lines: list[str], site: Site) -> WeatherTable:
     at = names.index("ObservationTime(LST)") if one_column else 0
 
     def when(cells: Cells) -> datetime:
+        """Return the time that the cells of a row state, on the file's clock."""
         stamp = cells[at].split(" ") if one_column else cells[:2]
         month, day, year = (*stamp[0].split("/"), "", "")[:3]
         hour, _, minute = "".join(stamp[1:2]).partition(":")
@@ -361,6 +362,7 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
     minutes = names.index("Minute") if "Minute" in names else None
 
     def when(cells: Cells) -> datetime:
+        """Return the time that the cells of a row state, on the file's clock."""
         *date, hour = (cells[k] for k in at)
         return _moment(date, hour, "0" if minutes is None else cells[minutes])
 
@@ -389,6 +391,7 @@ def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
     cells = [[line[a:b].strip() for a, b in _TMY2] for line in lines[1:]]
 
     def start(cells: Cells) -> datetime:
+        """Return the start of the hour whose end the cells of a row state, on the file's clock."""
         return _moment((f"19{cells[0]}", *cells[1:3]), cells[3]) - timedelta(hours=1)
 
     rows = _rows(path, enumerate(cells, start=2), {"dni": 4, "dhi": 5, "ghi": 6}, start)
@@ -442,6 +445,7 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
         raise InputError(path, found, "a horizontal plane (slope 0 deg)", remedy)
 
     def when(cells: Cells) -> datetime:
+        """Return the time that the cells of a row state, on the file's clock."""
         try:
             return datetime.strptime(cells[0], "%Y%m%d:%H%M").replace(tzinfo=UTC)
         except ValueError:
@@ -505,7 +509,7 @@ def _read_open_meteo(path: Path, lines: list[str], site: Site) -> WeatherTable:
     Each is the mean of the hour that ends at its label (Open-Meteo's documentation), on a clock of
     `utc_offset_seconds`; labels in seconds since 1970 are UTC.
     """
-    head = strict_csv.numbered(lines[:50])[:3]
+    head = strict_csv.numbered(lines[:50])[:3]  # line number and text of each
     if len(head) < 3 or not head[2][1].startswith("time,"):
         found = "no line that begins with 'time' below one place"
         raise InputError(path, found, "hours of one place", "download one place, hourly")
@@ -518,6 +522,7 @@ def _read_open_meteo(path: Path, lines: list[str], site: Site) -> WeatherTable:
     names, body = _below(path, lines, head[2][0] - 1)
 
     def when(cells: Cells) -> datetime:
+        """Return the time that the cells of a row state, on the file's clock."""
         return _stated(cells[0]) + (clock if cells[0].isdecimal() else timedelta())
 
     rows = _rows(path, body, _columns(path, names), when, names)
@@ -538,6 +543,7 @@ def _read_cams(path: Path, lines: list[str], site: Site) -> WeatherTable:
     names, body = _below(path, lines, header, ";")
 
     def when(cells: Cells) -> datetime:
+        """Return the time that the cells of a row state, on the file's clock."""
         start, _, end = cells[0].partition("/")
         return _stated(start) + (_stated(end) - _stated(start)) / 2
 
@@ -571,6 +577,7 @@ def _read_solcast(path: Path, lines: list[str], site: Site) -> WeatherTable:
     at, span = letters.index("periodend" if is_end else "periodstart"), letters.index("period")
 
     def when(cells: Cells) -> datetime:
+        """Return the time that the cells of a row state, on the file's clock."""
         if cells[span] not in ("PT60M", "PT1H"):
             raise _CellError(f"period '{cells[span]}'", "hours (PT60M)")
         return _stated(cells[at], utc=False)
@@ -626,6 +633,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
     leap = not dated and any((c[at[0]].lstrip("0"), c[at[1]]) == ("2", "29") for _, c in body)
 
     def when(cells: Cells) -> datetime:
+        """Return the time that the cells of a row state, on the file's clock."""
         if not dated:
             month, day, hour = (cells[k] for k in at)
             return _moment(("2024" if leap else "2023", month, day), hour)

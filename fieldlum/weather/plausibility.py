@@ -36,6 +36,7 @@ class _Sun:
     """
 
     def __init__(self, weather: Weather, station: Site) -> None:
+        """Compute the sun's positions every quarter of an hour around the hours of `weather`."""
         self.t_unix_s = np.array([t.timestamp() for t in weather.t_utc])
         # the half days (43 200 s) of all hours, and two more on each side
         half_days = np.unique(np.floor(self.t_unix_s / 43200.0)[:, None] + np.arange(-2.0, 3.0))
@@ -222,7 +223,8 @@ def _horizontal_beam(dni_wm2: Floats, altitude: Floats) -> tuple[str, str, str] 
     if not low.sum() >= _MIN_LOW_HOURS <= high.sum():
         return None
 
-    def strongest(dni: Floats) -> tuple[float, float]:  # ratio of low to high suns, and level
+    def strongest(dni: Floats) -> tuple[float, float]:
+        """Return the strongest light's ratio of low to high suns, and its DNI at high suns."""
         of_low, of_high = (np.quantile((dni / sine)[part], 0.98) for part in (low, high))
         return float(of_low / max(of_high, 1e-9)), float(np.quantile(dni[high], 0.98))
 

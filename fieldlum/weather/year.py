@@ -41,9 +41,11 @@ class Weather:
     synthetic: bool = False
 
     def __len__(self) -> int:
+        """Return the number of hours."""
         return len(self.t_utc)
 
     def __getitem__(self, index: ArrayLike | slice) -> Weather:
+        """Return the hours that an index array, a boolean array or a slice selects."""
         rows = np.arange(len(self))[index]  # type: ignore[index]
         light = {name: getattr(self, name)[rows] for name in _LIGHT}
         return replace(self, t_utc=tuple(self.t_utc[i] for i in rows), **light)

@@ -74,6 +74,7 @@ class Series:
     marks: NDArray[np.int64]
 
     def __len__(self) -> int:
+        """Return the number of rows."""
         return len(self.t_unix_s)
 
 
@@ -124,10 +125,10 @@ def sky_geometry(t_unix_s: Floats, site: Site) -> tuple[Floats, Floats]:
     Both are [n], at the times t_unix_s [n], interpolated between full minutes.
     """
     minute = np.floor(t_unix_s / 60.0)
-    grid = 60.0 * np.unique(np.r_[minute, minute + 1.0])
-    times = [datetime.fromtimestamp(t, UTC) for t in grid]
+    grid_s = 60.0 * np.unique(np.r_[minute, minute + 1.0])
+    times = [datetime.fromtimestamp(t, UTC) for t in grid_s]
     altitude, top = sun.position(times, site).altitude_deg, sun.extraterrestrial_wm2(times)
-    return np.interp(t_unix_s, grid, altitude), np.interp(t_unix_s, grid, top)
+    return np.interp(t_unix_s, grid_s, altitude), np.interp(t_unix_s, grid_s, top)
 
 
 def check(series: Series, altitude: Floats, top: Floats) -> Series:
@@ -142,10 +143,8 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
     for extreme, mark in ((False, Mark.IMPOSSIBLE), (True, Mark.EXTREME)):
         limits = sun.bsrn_limits(altitude, top, extreme=extreme)
         for value, (low, high) in zip((ghi, dhi, dni), limits, strict=True):
-            with np.errstate(invalid="ignore"):
-                marks[(value < low) | (value > high)] |= mark
-    with np.errstate(invalid="ignore"):
-        marks[dhi > 1.05 * ghi + 10.0] |= Mark.DIFFUSE
+            marks[(value < low) | (value > high)] |= mark
+    marks[dhi > 1.05 * ghi + 10.0] |= Mark.DIFFUSE
     marks[consistency.closure_fails(series.t_unix_s, ghi, dhi, dni, altitude)] |= Mark.CLOSURE
     marks[_stuck(series.t_unix_s, ghi, altitude) | _saturated(ghi)] |= Mark.STUCK
     for value in (ghi, dhi, dni):
@@ -197,8 +196,7 @@ def _stuck(t_unix_s: Floats, ghi: Floats, altitude: Floats) -> Mask:
     sine = np.sin(np.radians(np.maximum(altitude, 0.1)))
     highest, lowest = np.maximum.reduceat(sine, starts), np.minimum.reduceat(sine, starts)
     smallest_step = steps[steps > 0.0].min(initial=np.inf)  # infinite if all rows are stuck
-    with np.errstate(invalid="ignore"):
-        sun_moved = ghi[starts] * (1.0 - lowest / highest) > smallest_step
+    sun_moved = ghi[starts] * (1.0 - lowest / highest) > smallest_step
     change_due = (ghi[starts] <= 0.0) | sun_moved | np.isinf(smallest_step)
     rows, seconds = ends - starts, t_unix_s[ends - 1] - t_unix_s[starts]
     stuck = np.repeat((seconds > 600.0) & (rows > 2) & change_due, rows)
@@ -447,8 +445,7 @@ def _of_day(clean: Series, altitude: Floats, top: Floats) -> Iterator[str]:
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
         return
-    with np.errstate(invalid="ignore"):
-        weak = sun.too_weak(clean.ghi_wm2, altitude, top)
+    weak = sun.too_weak(clean.ghi_wm2, altitude, top)
     faults = {text: (clean.marks & mark) != 0 for mark, text in _FAULTS.items()}
     faults["less light than the darkest overcast sky: check whether the values are in kW/m2"] = weak
     faults[

@@ -42,7 +42,7 @@ def closure_fails(
     altitude: of the sun, true [n] deg.
     """
     ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
-    testable = np.isfinite(ratio) & (altitude > -3.0)
+    testable = np.isfinite(ratio) & (altitude > -3.0)  # QCRad's limit of the zenith angle, 93
     fails = testable & (np.abs(ratio - 1.0) > np.where(altitude > 15.0, 0.08, 0.15))
     return persistent(t_unix_s, fails, 1800.0, testable)
 
@@ -99,12 +99,12 @@ def shaded_horizon(
 def clear_sky(t_unix_s: Floats, site: Site) -> tuple[Floats, Floats]:
     """Return the sun's azimuth [deg] and the DNI of a cloudless sky [W/m2], [n] each.
 
-    t_unix_s: the times [n], between which full five minutes are interpolated.
+    t_unix_s: the times [n]. Both are interpolated between full five minutes.
     """
     step = np.floor(t_unix_s / 300.0)
-    grid = 300.0 * np.unique(np.r_[step, step + 1.0])
-    times = [datetime.fromtimestamp(t, UTC) for t in grid]
-    turn = np.radians(sun.position(times, site).azimuth_deg)
-    north, east = (np.interp(t_unix_s, grid, f(turn)) for f in (np.cos, np.sin))
-    clear_dni = np.interp(t_unix_s, grid, sun.clearsky(times, site).dni_wm2)
+    grid_s = 300.0 * np.unique(np.r_[step, step + 1.0])
+    times = [datetime.fromtimestamp(t, UTC) for t in grid_s]
+    azimuth = np.radians(sun.position(times, site).azimuth_deg)
+    north, east = (np.interp(t_unix_s, grid_s, part(azimuth)) for part in (np.cos, np.sin))
+    clear_dni = np.interp(t_unix_s, grid_s, sun.clearsky(times, site).dni_wm2)
     return np.degrees(np.arctan2(east, north)) % 360.0, clear_dni

@@ -175,7 +175,7 @@ def estimate(
     None if unknown. usual: the view of the usual state, with the same pose, if the captures are of
     another state.
     """
-    stack = _stack(captured, seen, usual, latitude_deg)
+    stack = replace(_stack(captured, seen, usual), latitude_deg=latitude_deg)
     pose = pose or CameraPose(axis_deg=stack.grid.heading_deg)
     covered = np.zeros(len(stack.light), bool) if usual else _covered(stack, pose)
     rest = np.setdiff1d(np.arange(len(captured.light)), stack.rows[covered])
@@ -211,7 +211,7 @@ class _Stack:
     dark: Mask
     usually: Floats
     luminance_cdm2: Floats32
-    latitude_deg: float | None
+    latitude_deg: float | None = None
 
     def placed(self, values: Array) -> Floats:
         """Return values [p] on the grid, [h, w], NaN for other pixels."""
@@ -231,10 +231,7 @@ class _Stack:
 
 
 def _stack(
-    captured: Captured,
-    seen: Callable[[Floats], Mask] | None,
-    usual: SkyView | None,
-    latitude_deg: float | None,
+    captured: Captured, seen: Callable[[Floats], Mask] | None, usual: SkyView | None
 ) -> _Stack:
     """Return the captures' pictures on one grid; of more than fit in memory, evenly spread ones.
 
@@ -260,8 +257,7 @@ def _stack(
         values = np.where(np.isnan(values) & in_lens, 0.5 * picture.dark_cdm2, values)
         luminance[n] = np.where(np.isinf(values), np.nan, values)[kept]  # infinite: clipped
     usually = np.zeros(kept.shape) if usual is None else np.nan_to_num(usual.high)
-    light, dark = captured.light[rows], in_lens & ~kept
-    return _Stack(grid, light, rows, kept, dark, usually, luminance, latitude_deg)
+    return _Stack(grid, captured.light[rows], rows, kept, in_lens & ~kept, usually, luminance)
 
 
 def _placed(picture: SkyPicture, grid: SkyGrid) -> Floats32:
@@ -412,7 +408,7 @@ def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
     year = decided.reference
     seasonal = [(rows, replace(year, log_ratio=year.log_ratio[rows])) for rows in groups]
     # the foreground indoors is darker than half of the sky behind a pane
-    pane_sky = 0.5 * float(np.median(view.through[decided.sky]))
+    pane_sky = 0.5 * np.median(view.through[decided.sky])
     rays = view.pose.true_directions(stack.grid.rays()[stack.kept])
     usual, sky = _seasonal_ratios(stack, rays, seasonal, pane_sky)
     hidden = [stack.placed(dark) > 0.0 for dark in usual < 0.5 * sky]  # [h, w] for each season
@@ -434,24 +430,24 @@ def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
 
 
 def _seasonal_ratios(
-    stack: _Stack, rays: Floats, seasonal: Sequence[tuple[Indices, SkyReference]], pane_sky: float
+    stack: _Stack, rays: Floats, seasons: Sequence[tuple[Indices, SkyReference]], pane: np.floating
 ) -> tuple[Floats, Floats]:
     """Return each season's median ratio to Perez's sky [k, p], and the largest that is sky [p].
 
-    seasonal: the captures of each of k seasons, and the sky that is in view then; rays: of the
-    pixels kept [p, 3]; pane_sky: half of the ratio behind a pane. The second is 0 where no season
-    shows sky, and where the first shows that the seasons are alike.
+    seasons: the captures of each of k seasons, and the sky that is in view then; rays: of the
+    pixels kept [p, 3]; pane: half of the ratio behind a pane. The second is 0 where no season shows
+    sky, and where the first shows that the seasons are alike.
     """
     by_perez = (
         stack.luminance_cdm2[rows] / np.maximum(stack.light[rows].sky_at(rays), 1e-3)
-        for rows, _ in seasonal
+        for rows, _ in seasons
     )
     usual = np.array([nan_percentiles(ratio, (50.0,))[0] for ratio in by_perez])
     # real skies of a season are within 40 % of Perez's
     differs = usual.min(axis=0) < 0.7 * usual.max(axis=0)
-    likely = differs & (usual.max(axis=0) > 0.7 * pane_sky)
+    likely = differs & (usual.max(axis=0) > 0.7 * pane)
     sky = np.zeros(len(rays))
-    for rows, reference in seasonal:
+    for rows, reference in seasons:
         luminance = stack.luminance_cdm2[rows][:, likely]
         seen = follow(luminance, stack.light[rows], rays[likely], reference)
         sky[likely] = np.maximum(sky[likely], np.where(seen.spread < _FOLLOWS, seen.ratio, 0.0))
@@ -490,11 +486,9 @@ def _turned(stack: _Stack, view: SkyView) -> CameraPose:
 
 def _nearest(marked: Mask) -> Indices:
     """Return, for each pixel of a map, the flat index of the nearest marked one, [h, w]."""
-    found = np.empty((2, *marked.shape), np.int32)
-    ndimage.distance_transform_edt(
-        ~marked, return_distances=False, return_indices=True, indices=found
-    )
-    return found[0] * marked.shape[1] + found[1]
+    nearest = ndimage.distance_transform_edt(~marked, return_distances=False, return_indices=True)
+    row, column = np.asarray(nearest)
+    return row * marked.shape[1] + column
 
 
 def _bounds(
@@ -739,9 +733,8 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
     labels = np.empty(sky.shape, np.int32)
     count = int(ndimage.label(sky, np.ones((3, 3)), output=labels))  # pyright: ignore[reportArgumentType]
     level = np.where(sky, through, 0.0)
-    sizes = np.bincount(labels.ravel(), minlength=count + 1) * step_deg**2
-    large = np.flatnonzero(sizes >= _MIN_PANE_DEG2)
-    large = large[large > 0]
+    sizes_deg2 = np.bincount(labels.ravel(), minlength=count + 1) * step_deg**2
+    large = 1 + np.flatnonzero(sizes_deg2[1:] >= _MIN_PANE_DEG2)  # label 0 is no pane
     if not len(large):
         return np.maximum(np.nan_to_num(through), 1e-6)
     for pane in large:

@@ -40,6 +40,7 @@ class MeasuredDiscs:
     t_utc: tuple[datetime, ...]
 
     def __len__(self) -> int:
+        """Return the number of discs."""
         return len(self.t_utc)
 
 
@@ -99,6 +100,7 @@ class PoseFit:
         return dict(zip(NAMES, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
 
     def __getitem__(self, name: str) -> float:
+        """Return the fitted value of a parameter by its name in `NAMES`."""
         return float(self.values[NAMES.index(name)])
 
 
@@ -131,12 +133,14 @@ def fit_pose(
     # excess: factor on the variance of the discs, by the scatter of the first fit
     keep, excess = np.ones(len(discs), bool), 1.0
 
-    def off(values: Floats) -> Floats:  # measured minus true directions, in sigmas [n, 3]
+    def off(values: Floats) -> Floats:
+        """Return measured minus true directions over their uncertainty, by a pose [5], [n, 3]."""
         heading, tilt, roll, scale, clock = values
         true = scaled(shown, scale, axis_deg) @ rotation(heading, tilt, roll, axis_deg).T
         return (true - sun_earlier(suns, clock, site.latitude_deg)) / sigma
 
-    def residuals(units: Floats) -> Floats:  # of discs and prior; units: values over prior_sd
+    def residuals(units: Floats) -> Floats:
+        """Return the residuals of discs and prior, by a pose in units of its prior_sd, [5]."""
         return np.append(off(units * prior)[keep] / np.sqrt(excess), units)
 
     start = least_squares(residuals, np.zeros(len(NAMES))).x

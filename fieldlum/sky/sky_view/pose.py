@@ -100,10 +100,10 @@ class CameraPose:
             note = f"{text}: not used; check heading_deg in SITE.toml"
             return replace(self, notes=(*self.notes, note))
         after = self._updated(by_deg, u_deg)
-        used = f"{text}; used: {after.heading_deg:+.1f} +- {after.heading_sd_deg:.1f}"
+        note = f"{text}; used: {after.heading_deg:+.1f} +- {after.heading_sd_deg:.1f}"
         if not self.discs:
-            used += f"; level as stated, to {2 * STATED_SD[1]:g} degrees"
-        return replace(after, notes=(*(n for n in self.notes if n != _NO_DISC), used))
+            note += f"; level as stated, to {2 * STATED_SD[1]:g} degrees"
+        return replace(after, notes=(*(n for n in self.notes if n != _NO_DISC), note))
 
     def turned(self, north_deg: float, u_deg: float) -> CameraPose:
         """Return the pose for a stated heading that was corrected by `north_deg` +- `u_deg`.

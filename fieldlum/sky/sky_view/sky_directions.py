@@ -237,6 +237,7 @@ def _level_spread(values: Floats | Floats32) -> tuple[Floats, Floats]:
     last = np.maximum((~np.isnan(values)).sum(axis=0) - 1, 0)
 
     def quantile(share: float) -> Floats:
+        """Return the value below which `share` of each column's finite values are, [p]."""
         return np.take_along_axis(ordered, np.round(share * last).astype(int)[None], axis=0)[0]
 
     return quantile(0.5), 0.5 * (quantile(0.84) - quantile(0.16))

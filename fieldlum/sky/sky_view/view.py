@@ -323,20 +323,22 @@ def _shortest_edges(openness: Floats32, factor: int) -> Floats32:
     """
 
     def evenly(values: Floats32, pixel: float) -> Floats32:
+        """Return a map [h, w] blurred by a round Gaussian of half a pixel of the sky view."""
         blurred = cv2.GaussianBlur(values, (0, 0), 0.5 * pixel, borderType=cv2.BORDER_REPLICATE)
         return np.asarray(blurred, np.float32)
 
-    (height, width), n = openness.shape, factor**2
-    mixed = np.nonzero((openness > 0.0) & (openness < _OPEN_PIXEL))
-    count = np.round(openness[mixed] * n)[:, None]  # open parts of each mixed pixel
+    (height, width), count = openness.shape, factor**2  # count: parts of a pixel
+    mixed = np.nonzero((openness > 0.0) & (openness < _OPEN_PIXEL))  # m pixels
+    open_count = np.round(openness[mixed] * count)[:, None]  # [m, 1]
     sharp = np.asarray(cv2.resize(openness, (width * factor, height * factor)), np.float32)
-    pixels = np.repeat((openness >= _OPEN_PIXEL)[..., None], n, axis=-1).astype(np.float32)
+    parts = np.repeat((openness >= _OPEN_PIXEL)[..., None], count, axis=-1).astype(np.float32)
     for _ in range(4):
         smooth = _blurred(sharp, factor, _along_edges)
-        parts = smooth.reshape(height, factor, width, factor).swapaxes(1, 2)[mixed].reshape(-1, n)
-        rank = np.argsort(np.argsort(-parts, axis=1, kind="stable"), axis=1)
-        pixels[mixed] = rank < count
-        sharp = pixels.reshape(height, width, factor, factor).swapaxes(1, 2)
+        by_pixel = smooth.reshape(height, factor, width, factor).swapaxes(1, 2)  # [h, w, f, f]
+        brightness = by_pixel[mixed].reshape(-1, count)  # [m, count]
+        rank = np.argsort(np.argsort(-brightness, axis=1, kind="stable"), axis=1)
+        parts[mixed] = rank < open_count
+        sharp = parts.reshape(height, width, factor, factor).swapaxes(1, 2)
         sharp = sharp.reshape(height * factor, width * factor)
     smooth = _blurred(sharp, factor, evenly)
     # the blur must not change which side of 0.5 a place is on: low and high follow best
