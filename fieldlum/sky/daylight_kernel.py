@@ -153,16 +153,16 @@ class Kernel:
         """
         beams = [f.beam[:, None] for f in (a, b)]
         grounds = (f.beam[:, None] * np.maximum(f.direction[:, 2:], 0.0) for f in (a, b))
-        k = self.constant * (1.0 + product(*beams) + product(*grounds))
-        k += self.sky * product(a.sky, b.sky)
-        k += self.facade * product(_facade(a, self.facades), _facade(b, self.facades)) * near
+        total = self.constant * (1.0 + product(*beams) + product(*grounds))
+        total += self.sky * product(a.sky, b.sky)
+        total += self.facade * product(_facade(a, self.facades), _facade(b, self.facades)) * near
         if a.bounced is not None and b.bounced is not None:
-            k += self.bounced * product(a.bounced, b.bounced)
+            total += self.bounced * product(a.bounced, b.bounced)
         if a.changed is not None and b.changed is not None:
-            k *= 1.0 + self.changed * product(a.changed, b.changed)
+            total *= 1.0 + self.changed * product(a.changed, b.changed)
         if a.lamps is not None and b.lamps is not None:
-            k += self.lamps * product(a.lamps, b.lamps)
-        return k
+            total += self.lamps * product(a.lamps, b.lamps)
+        return total
 
 
 def _facade(a: Features, facades: Facades) -> Floats:

@@ -65,18 +65,19 @@ def patches_per_row(mf: int) -> list[int]:
 def reinhart_patches(mf: int = 4) -> SkyPatches:
     """Return Reinhart's division of the sky, 144 mf^2 + 1 patches.
 
-    The order is that of Radiance's reinhartb.cal and rskysrc.cal: bin 0 is centred on north at the
-    horizon, and azimuth increases clockwise. The ground is not a patch.
+    mf : number of rows and columns into which each Tregenza patch is divided. The order is that of
+    Radiance's reinhartb.cal and rskysrc.cal: patch 0 is centred on north at the horizon, azimuth
+    increases clockwise, and rows follow upwards. The ground is not a patch.
     """
-    rows = np.array(patches_per_row(mf))
+    counts = np.array(patches_per_row(mf))
     height = np.pi / 2 / (7 * mf + 0.5)  # rad; the zenith's patch has half a row
-    row = np.repeat(np.arange(len(rows)), rows)  # of each patch
-    azimuth = (np.arange(len(row)) - (np.cumsum(rows) - rows)[row]) * 2 * np.pi / rows[row]
+    row = np.repeat(np.arange(len(counts)), counts)  # of each patch
+    azimuth = (np.arange(len(row)) - (np.cumsum(counts) - counts)[row]) * 2 * np.pi / counts[row]
     altitude = np.minimum((row + 0.5) * height, np.pi / 2)
     east, north = np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude)
-    band = np.diff(np.sin(np.minimum(np.arange(len(rows) + 1) * height, np.pi / 2)))
+    band = np.diff(np.sin(np.minimum(np.arange(len(counts) + 1) * height, np.pi / 2)))
     directions = np.stack((east, north, np.sin(altitude)), axis=-1)
-    out = SkyPatches(directions, (band * 2 * np.pi / rows)[row])
+    out = SkyPatches(directions, (band * 2 * np.pi / counts)[row])
     out.directions.flags.writeable = out.solid_angles_sr.flags.writeable = False
     return out
 
@@ -86,12 +87,13 @@ def reinhart_index(directions: Array) -> NDArray[np.intp]:
 
     directions: unit vectors [n, 3], x east, y north, z up; those below the horizon count as on it.
     """
-    rows = np.array(patches_per_row(4))
-    height = np.pi / 2 / (len(rows) - 0.5)
+    counts = np.array(patches_per_row(4))
+    height = np.pi / 2 / (len(counts) - 0.5)
     altitude = np.arcsin(np.clip(directions[:, 2], 0.0, 1.0))
-    row = np.minimum((altitude / height).astype(np.intp), len(rows) - 1)
-    turn = np.arctan2(directions[:, 0], directions[:, 1]) / (2.0 * np.pi)
-    return (np.cumsum(rows) - rows)[row] + np.rint(turn * rows[row]).astype(np.intp) % rows[row]
+    row = np.minimum((altitude / height).astype(np.intp), len(counts) - 1)
+    turns = np.arctan2(directions[:, 0], directions[:, 1]) / (2.0 * np.pi)
+    column = np.rint(turns * counts[row]).astype(np.intp) % counts[row]
+    return (np.cumsum(counts) - counts)[row] + column
 
 
 # ----------------------------------------------------------------------------------------------

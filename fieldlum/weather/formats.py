@@ -606,10 +606,10 @@ def _dni_from_horizontal(rows: Sequence[WeatherRow], place: Site) -> list[Weathe
 
 
 def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a csv file of hour centres.
+    """Return the rows of fieldlum's own csv, whose times are the middles of hours.
 
-    Columns t_utc, dni_wm2, dhi_wm2, or month, day, hour (local standard time), dni_wm2, dhi_wm2;
-    ghi_wm2 is optional.
+    Its columns are t_utc or month, day and hour (local standard time); dni_wm2, dhi_wm2, and
+    optionally ghi_wm2. Without t_utc it is a typical year.
     """
     place, clock = _place_comment(path, lines, site)
     table = strict_csv.numbered(lines)
@@ -640,8 +640,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
         return _stated(cells[at[0]])
 
     rows = _rows(path, body, quantities, when, names)
-    clock = timedelta() if dated else clock
-    return WeatherTable(rows, typical=not dated, place=place, clock=clock)
+    return WeatherTable(rows, typical=not dated, place=place, clock=timedelta() if dated else clock)
 
 
 def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | None, timedelta]:

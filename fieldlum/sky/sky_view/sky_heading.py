@@ -81,6 +81,7 @@ def _turns(off: Floats, slope: Floats, light: Light, rays: Floats) -> tuple[Floa
         if size > 1e-9:
             turns[k] = slope_rest @ off_rest / size
             residual = off_rest - turns[k] * slope_rest
+            # 1e-4: a scatter of 1 %, so that a perfect fit is not certain
             variances[k] = (residual @ residual / len(residual) + 1e-4) / size
     return turns, variances
 
