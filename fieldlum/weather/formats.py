@@ -530,9 +530,10 @@ def _read_open_meteo(path: Path, lines: list[str], site: Site) -> WeatherTable:
 
 
 def _read_cams(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a csv of the CAMS radiation service: a span and Wh/m2 in each.
+    """Return the rows of a csv of the CAMS radiation service.
 
-    The comments above have the place and the names. Wh/m2 of an hour are its mean in W/m2.
+    The comments above the rows have the place and the column names. A row states the start and end
+    of its hour, and energies in Wh/m2, which are the hour's means in W/m2.
     """
     header = next(k for k, line in enumerate(lines) if not line.startswith("#")) - 1
     about = {key.partition(" (")[0]: value for key, value in _about(lines[:header]).items()}

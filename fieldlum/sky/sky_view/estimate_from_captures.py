@@ -401,7 +401,7 @@ def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
     view of all captures, whose pictures are `stack`.
     """
     view, season = decided.view, _season(stack.light)
-    groups = [np.flatnonzero(season == k) for k in range(4)]
+    groups = [np.flatnonzero(season == k) for k in range(4)]  # captures of each season
     groups = [rows for rows in groups if len(rows) >= MIN_CAPTURES]
     if len(groups) < 2 or not decided.sky.any():
         return decided
@@ -413,6 +413,7 @@ def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
     usual, sky = _seasonal_ratios(stack, rays, seasonal, pane_sky)
     hidden = [stack.placed(dark) > 0.0 for dark in usual < 0.5 * sky]  # [h, w] for each season
     changes = np.any(hidden, axis=0) & (stack.placed(sky) > pane_sky)
+    # bounds for the days of the year that no capture decides
     low = np.where(changes, np.float32(0.0), view.low)
     highest = np.clip((1.0 + 2.0 * _SCALE_SD) * stack.placed(sky), view.high, 1.0)
     high = np.where(changes, highest, view.high).astype(np.float32)
