@@ -17,7 +17,7 @@ from places import SEATTLE
 
 from fieldlum.capture import import_card
 from fieldlum.capture.bracket import frame_requests
-from fieldlum.capture.logger_import import add_samples, import_rows
+from fieldlum.capture.import_logger import add_samples, import_rows
 from fieldlum.capture.match_card import (
     CardFrame,
     Group,

@@ -12,8 +12,8 @@ import pytest
 from tiny_field import FAST, LADDER, Field, TinyCamera, TinyPyranometer
 
 from fieldlum.capture.disk_writer import Recorder
-from fieldlum.capture.logger import log
-from fieldlum.capture.logger_import import import_rows
+from fieldlum.capture.import_logger import import_rows
+from fieldlum.capture.irradiance_log import log
 from fieldlum.capture.runner import Options, run
 from fieldlum.capture.steady_clock import SteadyClock
 from fieldlum.core.errors import DeviceError, InputError
@@ -161,7 +161,7 @@ def test_a_defect_within_the_log_is_told_once_and_ends_nothing(
     rig: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from fieldlum.capture.disk_writer import Recorder
-    from fieldlum.capture.logger import Logger
+    from fieldlum.capture.irradiance_log import Logger
     from fieldlum.capture.reconnect import Keeper
 
     steady = SteadyClock(rig.clock, lambda: False)
@@ -187,7 +187,7 @@ def test_a_defect_within_the_log_is_told_once_and_ends_nothing(
 
 @pytest.mark.contract
 def test_log_alone_writes_rows(rig: Field) -> None:
-    from fieldlum.capture.logger import log
+    from fieldlum.capture.irradiance_log import log
 
     said: list[str] = []
     rows = log(
@@ -217,7 +217,7 @@ def test_one_process_at_a_time_writes_irradiance(rig: Field, tmp_path: Path) -> 
 
 @pytest.mark.contract
 def test_a_log_leaves_the_reserve_of_a_capture(rig: Field, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fieldlum.capture.logger.open_pyranometer", lambda *_, **__: device)
+    monkeypatch.setattr("fieldlum.capture.irradiance_log.open_pyranometer", lambda *_, **__: device)
     device = TinyPyranometer(rig.clock)
     capture = Recorder(rig.session, rig.clock.now, 4096)
     assert log(rig.session, "tiny:", clock=rig.clock, every_s=5.0, rows=2, say=print) == 2

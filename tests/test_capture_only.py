@@ -99,7 +99,7 @@ def test_modules_of_the_page_import_without_them() -> None:
     code = (
         "import sys\nfor n in ('numba', 'torch', 'pyradiance'): sys.modules[n] = None\n"
         "import fieldlum.web.server, fieldlum.devices.rpicam, fieldlum.capture.runner\n"
-        "import fieldlum.capture.notify, fieldlum.capture.logger, fieldlum.plan\n"
+        "import fieldlum.capture.notify, fieldlum.capture.irradiance_log, fieldlum.plan\n"
         "import fieldlum.capture.doctor, fieldlum.capture.import_card\n"
         "import fieldlum.cli.watch_command, fieldlum.cli.log_command"
     )

@@ -347,7 +347,7 @@ def test_heartbeats_come_at_once_and_regularly() -> None:
     fetched: list[str] = []
     heart = Heartbeat("http://127.0.0.1/", every_s=0.05, use=fetched.append)
     assert until(lambda: len(fetched) >= 3)
-    heart.close()
+    heart.end()
 
     def refuse(address: str) -> None:
         fetched.append("tried")
@@ -357,7 +357,7 @@ def test_heartbeats_come_at_once_and_regularly() -> None:
     assert until(lambda: fetched.count("tried") == 1)
     heart.beat()
     assert until(lambda: fetched.count("tried") == 2)
-    heart.close()
+    heart.end()
 
 
 @pytest.mark.analytic

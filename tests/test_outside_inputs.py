@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from scipy.io import netcdf_file
 
 from fieldlum.calibrate.fit_steps import read_table as read_readings
-from fieldlum.capture.logger_import import import_rows
+from fieldlum.capture.import_logger import import_rows
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Site, SiteFile, Slot

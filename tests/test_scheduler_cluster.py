@@ -178,7 +178,7 @@ def test_without_a_usable_worker_the_command_ends(
 ) -> None:
     other = {**software(), "source": "other"}
     monkeypatch.setattr("fieldlum.core.scheduler.software", lambda: other)
-    monkeypatch.setattr("fieldlum.core.scheduler.REPLACED_S", 2.0)
+    monkeypatch.setattr("fieldlum.core.scheduler._WORKER_REPLACEMENT_S", 2.0)
     unit = WorkUnit("a", units.doubled, running.shared, 1)
     with (
         pytest.warns(Caution, match="it gets no further units"),

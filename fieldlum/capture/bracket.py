@@ -22,7 +22,8 @@ from fieldlum.session.folder import DeviceTable
 from fieldlum.session.safe_paths import link_on_the_way
 from fieldlum.session.slot_states import SlotState
 
-STALE_S = 60.0  # after a longer pause between frames the light may have changed; not measured
+# After a longer pause between two frames the light may have changed. Not measured.
+_MAX_FRAME_PAUSE_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +119,7 @@ class BracketCapture:
         It can if all frames exist, or if one ended at most a minute ago, so that the light is still
         the same.
         """
-        earliest = self.clock.now() - timedelta(seconds=STALE_S)
+        earliest = self.clock.now() - timedelta(seconds=_MAX_FRAME_PAUSE_S)
         ends = [frame.t_utc + timedelta(seconds=frame.seconds) for frame in self.state.frames]
         return len(ends) == len(self.requests) or any(end >= earliest for end in ends)
 

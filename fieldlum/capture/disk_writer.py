@@ -75,7 +75,7 @@ class Recorder:
         for name, fields in events:
             self.write_event(name, **fields)
 
-    def sample(self, sample: IrradianceSample) -> bool:
+    def write_row(self, sample: IrradianceSample) -> bool:
         """Write a reading to its day file; return whether it is on the disk."""
         with self._lock:
             self._rows.append(sample)
@@ -138,11 +138,16 @@ class Recorder:
 
     def _flush_events(self) -> bool:
         """Append the waiting events to the journal; return whether all are on the disk."""
-        return self._flush(self._events, lambda e: self.journal.append(e[0], e[1], **e[2]))
+        return self._flush(self._events, self._append_event)
 
     def _flush_rows(self) -> bool:
         """Append the waiting rows to the day files; return whether all are on the disk."""
         return self._flush(self._rows, self._append_row)
+
+    def _append_event(self, event: tuple[str, datetime, EventFields]) -> None:
+        """Append an event, its name, time and fields, to the journal."""
+        name, t_utc, fields = event
+        self.journal.append(name, t_utc, **fields)
 
     def _append_row(self, sample: IrradianceSample) -> None:
         """Append a reading to its day file, and count it."""

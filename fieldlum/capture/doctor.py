@@ -153,7 +153,7 @@ def check_plan(session: Session, now_utc: datetime) -> Iterator[Finding]:
     if session.table().get("plan", {}).get("sha256", "") != sha256(session.plan):
         text = "plan.csv differs from the plan that session.toml records: restore it from a copy, "
         text += "or plan a new session (fieldlum plan SITE.toml --set SET --out NEW)"
-        yield fail("plan", text, 3)
+        yield fail("plan", text, exit_code=3)
     if ahead:
         next_local = ahead[0].t_utc.astimezone(ZoneInfo(session.site_file().site.timezone))
         when = f"the next on {next_local:%a %Y-%m-%d at %H:%M %Z}"
@@ -201,7 +201,7 @@ def judge_age(profile: CameraProfile, today: date) -> Finding:
     expires, calibrated = iso_date(profile.expires), iso_date(profile.camera.date)
     if expires and expires < today:
         text = f"{name} expired on {expires}: calibrate again, or change its expiry date"
-        return fail("profile", text, 3)
+        return fail("profile", text, exit_code=3)
     if text := age_text(calibrated, today):
         return warn("profile", f"{name}: {text}")
     if uncalibrated := profiles.uncalibrated_text(profile):
@@ -220,10 +220,10 @@ def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> Iterator
     if scaled and (unscaled := sorted({e.f_number for e in planned} - scaled)):
         shown = ", ".join(f"f/{f_number:g}" for f_number in unscaled)
         text = f"{name} has no scale k for {shown}: calibrate this aperture, or plan again"
-        yield fail("profile", text, 3)
+        yield fail("profile", text, exit_code=3)
     if missing := {e.nd for e in planned if e.nd} - {nd.name for nd in profile.nd}:
         text = f"{name} has no filter {sorted(missing)[0]}: add it to [[nd]], or plan again"
-        yield fail("profile", text, 3)
+        yield fail("profile", text, exit_code=3)
 
 
 def check_sun(session: Session, now_utc: datetime) -> Iterator[Finding]:

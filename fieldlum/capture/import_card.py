@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fieldlum.capture import match_card
 from fieldlum.capture.bracket import FrameRequest, frame_requests, write_capture
-from fieldlum.capture.logger_import import import_rows
+from fieldlum.capture.import_logger import import_rows
 from fieldlum.capture.match_card import CardFrame, Group, Match, Offset, Report
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
@@ -142,7 +142,7 @@ def _parts_of_one_clock(
         return parts
     pieces: list[list[Group]] = []
     for part in parts:
-        is_utc = match_card.states_utc(part)
+        is_utc = match_card.exif_states_offset(part)
         pieces += [part] if is_utc else match_card.clock_parts(part, slots, zone)
     return pieces
 
@@ -205,10 +205,8 @@ def _utf8_text(path: Path) -> str:
 def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, match: Match) -> None:
     """Copy the frames of one bracket and journal them like captured ones."""
     slot, folder = match.slot, session.capture_file(match.slot.id).parent
-    now = datetime.now(UTC)
-    journal.append(
-        "imported", now, slot=slot.id, source=_utf8_text(match.group.frames[0].path.parent)
-    )
+    now, first = datetime.now(UTC), match.group.frames[0]
+    journal.append("imported", now, slot=slot.id, source=_utf8_text(first.path.parent))
     journal.append("started", now, slot=slot.id, attempt=1)
     frames: list[Frame] = []
     planned = planned_frames(match.group, slot, setup)
@@ -232,7 +230,6 @@ def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, matc
         frames.append(frame)
     state = SlotState("done", 1, tuple(frames))
     is_complete = not missing_frames(match, setup)
-    first = match.group.frames[0]
     about: DeviceTable = {"model": first.camera, "serial": first.serial}
     write_capture(folder, slot, state, setup, about, complete=is_complete)
     journal.append("done", now, slot=slot.id, frames=len(frames), why="imported")

@@ -20,7 +20,7 @@ from fieldlum.optics.exposure import same_exposure
 
 # Longest time between a slot and its bracket. Chosen: people start brackets minutes early or late,
 # and slots are an hour apart.
-WITHIN_S = 1200.0
+MAX_DELAY_S = 1200.0
 _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (IANA tz database)
 
 
@@ -216,7 +216,7 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
     their median delay is under 1 s, or if the median deviation from it is over 5 s.
     """
     all_s = delays_s(groups, slots, offset.seconds)
-    near_s = all_s[np.abs(all_s) <= WITHIN_S]
+    near_s = all_s[np.abs(all_s) <= MAX_DELAY_S]
     median_s = float(np.median(near_s)) if len(near_s) >= 3 else 0.0
     if abs(median_s) < 1.0 or float(np.median(np.abs(near_s - median_s))) > 5.0:
         return offset
@@ -249,8 +249,8 @@ def match_groups(
         t_utc = true_time(group.t_camera, offset)
         when = f"({utc_text(t_utc)})"
         slot = min(slots, key=lambda s: abs((s.t_utc - t_utc).total_seconds()), default=None)
-        if slot is None or abs((t_utc - slot.t_utc).total_seconds()) > WITHIN_S:
-            others.append((group, f"no slot within {WITHIN_S / 60:.0f} min {when}"))
+        if slot is None or abs((t_utc - slot.t_utc).total_seconds()) > MAX_DELAY_S:
+            others.append((group, f"no slot within {MAX_DELAY_S / 60:.0f} min {when}"))
             continue
         if count_planned(group, slot) < min(2, len(slot.exposures)):
             others.append((group, f"at most one of its exposures is in the plan {when}"))
@@ -294,7 +294,7 @@ def clock_offset(
     """
     if stated_s is not None:
         offset = Offset(stated_s, "--utc-offset")
-    elif states_utc(groups):
+    elif exif_states_offset(groups):
         offset = Offset(0.0, "stated in EXIF", _exif_offsets_s(groups))
     else:
         offset = find_offset(groups, slots, _expected_s(groups, slots, setup))
@@ -314,7 +314,7 @@ def clock_offset(
     raise InputError("the card", found, expected, remedy)
 
 
-def states_utc(groups: Sequence[Group]) -> bool:
+def exif_states_offset(groups: Sequence[Group]) -> bool:
     """Return whether EXIF states the clock's offset from UTC for every frame."""
     return all(frame.exif_offset_s is not None for group in groups for frame in group.frames)
 
@@ -351,7 +351,7 @@ def offsets_text(offsets_s: Sequence[float]) -> str:
 
 def _near_slots(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> int:
     """Return how many brackets are within 20 minutes of slots if the clock has this offset [s]."""
-    return int(np.sum(np.abs(delays_s(groups, slots, offset_s)) <= WITHIN_S))
+    return int(np.sum(np.abs(delays_s(groups, slots, offset_s)) <= MAX_DELAY_S))
 
 
 def _expected_s(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile) -> list[float]:

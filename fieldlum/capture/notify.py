@@ -56,7 +56,7 @@ class _Background(ABC):
         """Do the work that is due; return the longest pause after it [s], None for no limit."""
 
     def _work(self) -> None:
-        """Do steps when they are due, and a last one after `_end`; the thread runs this."""
+        """Do steps when they are due, and a last one after `end`; the thread runs this."""
         is_last = False
         while not is_last:
             self._due.clear()
@@ -65,7 +65,7 @@ class _Background(ABC):
             if not is_last:
                 self._due.wait(pause)
 
-    def _end(self) -> None:
+    def end(self) -> None:
         """Let the thread do a last step and end; return at once."""
         self._closing = True
         self._due.set()
@@ -95,7 +95,7 @@ class Outbox(_Background):
 
     def close(self, patience_s: float = 10.0) -> int:
         """Send waiting messages for at most `patience_s` seconds; return how many are left."""
-        self._end()
+        self.end()
         self._thread.join(patience_s)
         return len(self._waiting)
 
@@ -218,10 +218,6 @@ class Heartbeat(_Background):
     def beat(self) -> None:
         """Let the thread request the address now; return at once."""
         self._due.set()
-
-    def close(self) -> None:
-        """Let the thread end; return at once."""
-        self._end()
 
     def _step(self) -> float:
         """Request the address once; return the pause until the next request [s]."""
@@ -387,7 +383,7 @@ def open_alerts(
         yield alerts
     finally:
         if heartbeat is not None:
-            heartbeat.close()
+            heartbeat.end()
         if outbox is not None and (waiting := outbox.close()):
             say(f"note: {waiting} messages could not be sent")
 

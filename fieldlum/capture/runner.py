@@ -13,7 +13,7 @@ from typing import Any
 from fieldlum import devices
 from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, frame_requests
 from fieldlum.capture.disk_writer import RESERVE_BYTES, Listen, Recorder
-from fieldlum.capture.logger import Logger
+from fieldlum.capture.irradiance_log import Logger
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
 from fieldlum.capture.steady_clock import SteadyClock, boot_id, synchronised
 from fieldlum.core.errors import DeviceError, InputError, NotEnoughDataError
@@ -397,12 +397,12 @@ class _Runner:
             wait_s = (t_utc - self.clock.now()).total_seconds()
             if wait_s <= 0:
                 return True
-            if self.logger is not None and log and not self.options.threaded:
-                self.logger.poll_if_due()
-                wait_s = min(wait_s, max(self.logger.due_in_s, 0.01))
             if self.options.threaded:
                 wait_s = min(wait_s, 1.0)
                 self._show()
+            elif self.logger is not None and log:
+                self.logger.poll_if_due()
+                wait_s = min(wait_s, max(self.logger.due_in_s, 0.01))
             if wait_s <= 60.0:
                 self.camera.get()  # reopen a lost camera before its slot, if possible
             self.clock.sleep(wait_s)
@@ -412,10 +412,10 @@ class _Runner:
         """Log irradiance if it is due, and refresh the display; see `BracketCapture.between`."""
         if frame is not None:
             self.last_frame = f"{frame.file} {frame.doubt}".strip()
-        if self.logger is not None and not self.options.threaded:
-            self.logger.poll_if_due()
         if self.options.threaded:
             self._show()
+        elif self.logger is not None:
+            self.logger.poll_if_due()
 
     def _show(self) -> None:
         """Update the display; ignore its failure.

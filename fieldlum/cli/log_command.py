@@ -25,7 +25,7 @@ def command(
       --pyranometer URI: For example serial:/dev/ttyUSB0?kind=spn1.
       --every S: Seconds between rows.
     """
-    from fieldlum.capture.logger import log
+    from fieldlum.capture.irradiance_log import log
     from fieldlum.devices.clock import Clock
 
     try:

@@ -17,9 +17,9 @@ STATE_VALUES = {
 }
 """Words of a state and their values; the first value of each is the usual one and is omitted."""
 
-ADDED = "lamp"  # the word for light that does not follow the daylight
-COVERS = ("blind", "tint")  # the words for what changes the view of the sky
-OFF = "lamp=off"  # in a prediction, it also switches off a lamp that is always on
+LAMP_WORD = "lamp"  # the word for light that does not follow the daylight
+COVER_WORDS = ("blind", "tint")  # the words for what changes the view of the sky
+LAMP_OFF = "lamp=off"  # in a prediction, it also switches off a lamp that is always on
 USAGE = ", ".join(f"{word}={'|'.join(values)}" for word, values in STATE_VALUES.items())
 
 
@@ -36,12 +36,12 @@ def parse_state(text: str) -> tuple[str, ...]:
 
 def is_lit(text: str) -> bool:
     """Return whether a lamp is on in a state."""
-    return any(part.startswith(ADDED) for part in parse_state(text))
+    return any(part.startswith(LAMP_WORD) for part in parse_state(text))
 
 
 def cover_state(text: str) -> str:
     """Return the unusual parts of a state that change the view of the sky, such as "blind=half"."""
-    return ";".join(part for part in parse_state(text) if part.startswith(COVERS))
+    return ";".join(part for part in parse_state(text) if part.startswith(COVER_WORDS))
 
 
 def _values(text: str) -> dict[str, str]:

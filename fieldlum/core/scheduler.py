@@ -37,11 +37,11 @@ from fieldlum.session import sha256
 SHARED_VARIABLE = "FIELDLUM_SHARED"
 RETRIES = 3  # number of further tries of a unit after its worker was lost; chosen
 # Longest wait for an answer of the Dask scheduler: ten times a slow handshake over TLS. Chosen.
-CONNECT_S = 15.0
+_CONNECT_TIMEOUT_S = 15.0
 # Longest wait for a first worker: a batch system starts jobs within minutes. Chosen.
-PATIENCE_S = 600.0
+_FIRST_WORKER_S = 600.0
 # Longest wait if all workers are avoided: a killed worker is replaced within a minute. Chosen.
-REPLACED_S = 60.0
+_WORKER_REPLACEMENT_S = 60.0
 # Errors of a worker's computer, so that another computer may finish the unit: a full disk, a quota,
 # a disk that does not answer, a share that went away, no memory.
 _WORKER_ERRNOS = {getattr(errno, "ESTALE", errno.EIO), errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -161,16 +161,14 @@ def _run_here(unit: WorkUnit) -> UnitOutcome:
         return UnitOutcome(unit, error=error)
 
 
-def is_worker_trouble(error: BaseException) -> bool:
-    """Return whether an error is due to the computer on which a unit ran, not to the unit."""
-    if isinstance(error, OSError):
-        return error.errno in _WORKER_ERRNOS
-    return isinstance(error, MemoryError)
+def worker_fault(error: BaseException | None) -> str:
+    """Return the reason of an error that is due to the computer on which a unit ran, else "".
 
-
-def _trouble_text(error: BaseException) -> str:
-    """Return the reason of an error for which `is_worker_trouble` is True, without paths."""
-    return getattr(error, "strerror", None) or "out of memory"
+    Such reasons are a full disk and too little memory. They contain no paths.
+    """
+    if isinstance(error, OSError) and error.errno in _WORKER_ERRNOS:
+        return str(error.strerror)
+    return "out of memory" if isinstance(error, MemoryError) else ""
 
 
 def _given_up(unit: WorkUnit, why: str) -> UnitOutcome:
@@ -219,14 +217,14 @@ def _in_processes(units: list[WorkUnit], count: int) -> Outcomes:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 unit, error = running.pop(future), future.exception()
                 is_killed = isinstance(error, BrokenProcessPool)
-                if error is None or not (is_killed or is_worker_trouble(error)):
+                fault = "its process was killed" if is_killed else worker_fault(error)
+                if not fault:
                     yield UnitOutcome(unit, None if error else future.result(), error)
                 elif tries[unit.name] < RETRIES:
                     tries[unit.name] += 1
                     waiting.insert(0, unit)  # last
                 else:
-                    why = "its process was killed" if is_killed else _trouble_text(error)
-                    yield _given_up(unit, why)
+                    yield _given_up(unit, fault)
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -307,8 +305,8 @@ def perform(task: Task) -> tuple[Any, str]:
                 return None, f"its {name} differs from that of the command: file system out of date"
         return task.call(folder, task.argument), ""
     except (OSError, MemoryError) as error:
-        if is_worker_trouble(error):
-            return None, _trouble_text(error)
+        if fault := worker_fault(error):
+            return None, fault
         raise
 
 
@@ -358,20 +356,20 @@ def _on_cluster(units: list[WorkUnit], address: str) -> Outcomes:
         for unit in units:
             submit(unit)
         while running:
-            ended = wait(running, timeout=REPLACED_S, return_when=FIRST_COMPLETED).done
+            ended = wait(running, timeout=_WORKER_REPLACEMENT_S, return_when=FIRST_COMPLETED).done
             for future in ended:
-                (unit, _), (worker, value, trouble, error) = running.pop(future), _answer(future)
-                if worker and trouble and worker not in avoided:
-                    avoided[worker] = trouble
-                    text = f"worker {worker}: {trouble}; it gets no further units"
+                (unit, _), (worker, value, fault, error) = running.pop(future), _answer(future)
+                if worker and fault and worker not in avoided:
+                    avoided[worker] = fault
+                    text = f"worker {worker}: {fault}; it gets no further units"
                     warnings.warn(text, Caution, stacklevel=2)
-                if not trouble:
+                if not fault:
                     yield UnitOutcome(unit, value, error)
                 elif tries[unit.name] < RETRIES:
                     tries[unit.name] += 1
                     submit(unit)
                 else:
-                    yield _given_up(unit, f"worker {worker}: {trouble}" if worker else trouble)
+                    yield _given_up(unit, f"worker {worker}: {fault}" if worker else fault)
             present = set() if ended else client.nthreads().keys()
             for future, (_, places) in running.items():
                 # None of its workers is present any more: it would wait for ever.
@@ -385,7 +383,7 @@ def _usable(client: Any, address: str, avoided: dict[str, str]) -> set[str]:
     client: of Dask, connected to `address`. Raises InputError if all workers are avoided for a
     minute.
     """
-    end_s = time.monotonic() + REPLACED_S
+    end_s = time.monotonic() + _WORKER_REPLACEMENT_S
     while avoided:
         if usable := client.nthreads().keys() - avoided.keys():
             return usable
@@ -418,18 +416,18 @@ def _connect(address: str) -> Any:
     from distributed import Client
 
     try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False, name="fieldlum")
+        client = Client(address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False, name="fieldlum")
     # MemoryError: another program, such as Dask's dashboard, whose answer has no length in front.
     except (OSError, TimeoutError, ValueError, MemoryError) as error:
         finding = f"no scheduler answers ({type(error).__name__})"
         remedy = "start one with: dask scheduler --host 127.0.0.1, or check the certificates"
         raise InputError(address, finding, remedy=remedy) from None
     try:
-        client.wait_for_workers(1, timeout=PATIENCE_S)
+        client.wait_for_workers(1, timeout=_FIRST_WORKER_S)
     except TimeoutError:
         client.close()
         raise NotEnoughDataError(
-            f"{address}: no worker for {PATIENCE_S:.0f} s; start one with: dask worker "
+            f"{address}: no worker for {_FIRST_WORKER_S:.0f} s; start one with: dask worker "
             "ADDRESS; finished units are stored, so start the command again"
         ) from None
     return client

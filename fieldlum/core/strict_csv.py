@@ -33,7 +33,8 @@ IRRADIANCE_LIMITS_WM2 = (-10.0, 1600.0)
 COMMAS = ", because numbers have decimal commas"
 THOUSANDS = ", because numbers have commas between thousands"
 POINTS = ", because other numbers have decimal commas"
-_INTEGER = re.compile(r"[+-]?\d+")
+# Two cells of one number with a decimal comma, such as 12 and 5, in cells joined by line ends.
+_DECIMAL_PAIR = re.compile(r"(?:^|\n)[+-]?\d+\n\d+(?=\n|$)")
 _WITH_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}(\.\d*)?")  # 1,234.5
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
 # Texts of a missing value in loggers, spreadsheets and databases, without minus signs and case.
@@ -224,11 +225,7 @@ def _has_decimal_commas(cells: Sequence[str], count: int, right: Sequence[Sequen
     Its surplus cells are then decimals after an integer, and it has no decimal points where rows of
     `count` cells (`right`) have them.
     """
-    surplus, pairs, k = len(cells) - count, 0, 0
-    while k + 1 < len(cells):
-        pair = _INTEGER.fullmatch(cells[k]) and cells[k + 1].isdecimal()
-        pairs += bool(pair)
-        k += 2 if pair else 1
+    surplus, pairs = len(cells) - count, len(_DECIMAL_PAIR.findall("\n".join(cells)))
     points = max((sum("." in cell for cell in row) for row in right), default=0)
     missing = points - sum("." in cell for cell in cells)
     return 0 < surplus <= pairs and "" not in cells and (points == 0 or missing >= surplus)
@@ -337,9 +334,10 @@ def split_heading(heading: str) -> tuple[str, str]:
         return (name, unit) if is_unit(unit) else (heading.strip(), "")
     heading = _LOGGER_SERIAL.sub("", heading)
     words = re.split(r"[\s_]+", heading.strip())
-    for k in range(max(len(words) - 4, 1), len(words)):  # "Watts per square meter" has four words
-        if is_unit(unit := " ".join(words[k:])):
-            return " ".join(words[:k]).rstrip(","), unit
+    # The longest ending that is a unit: "Watts per square meter" has four words.
+    for start in range(max(len(words) - 4, 1), len(words)):
+        if is_unit(unit := " ".join(words[start:])):
+            return " ".join(words[:start]).rstrip(","), unit
     return heading.strip(), ""
 
 
@@ -352,10 +350,10 @@ def stated_unit(heading: str) -> str:
 def _in_brackets(heading: str) -> tuple[str, str]:
     """Return the name and the text in brackets of ``NAME (TEXT)``; "" and "" for other headings."""
     inner = _LOGGER_SERIAL.sub("", heading).strip().rstrip(")]} \t")
-    start = max(inner.rfind(mark) for mark in "([{") + 1
-    unit = inner[start:].strip()
-    is_last = start > 0 and not set(")]}") & set(unit)
-    return (inner[: start - 1].rstrip(" _\t"), unit) if is_last else ("", "")
+    start = max(inner.rfind(mark) for mark in "([{") + 1  # 0 without a bracket
+    text = inner[start:].strip()
+    is_last = start > 0 and not set(")]}") & set(text)
+    return (inner[: start - 1].rstrip(" _\t"), text) if is_last else ("", "")
 
 
 def is_unit(text: str) -> bool:

@@ -149,7 +149,7 @@ def merge_slot(root: Path, job: _MergeJob) -> Verdict:
         _write(session, job, result, {**recipe, "digest": ""} if lost else recipe)
         return Verdict(job.slot, "merged", result.verdict, result.report)
     except (FieldlumError, OSError) as error:
-        if work.is_worker_trouble(error):
+        if work.worker_fault(error):
             raise
         return Verdict(job.slot, "failed", str(error))
 

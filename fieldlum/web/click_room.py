@@ -127,47 +127,54 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
     def show(clicked: ClickedRoom, replace_room: bool) -> JsonTable:
         """Return the clicked room, its edges and sun patches in pixels; nothing is written."""
         lines = outline_pixels(clicked.room, picture.grid)
-        return clicked_table(clicked) | {"lines": lines, "patches": _patches(clicked.room, picture)}
+        patches = _patch_outlines(clicked.room, picture)
+        return clicked_table(clicked) | {"lines": lines, "patches": patches}
 
     def save(clicked: ClickedRoom, replace_room: bool) -> JsonTable:
         """Write the clicked room; return the file, and whether the session got the room."""
         path, is_written = save_room(session, clicked, replace_room=replace_room)
         return {"file": str(path), "taken": is_written}
 
-    def click_route(path: str, use: Callable[[ClickedRoom, bool], JsonTable]) -> Route:
-        """Return a route that answers posted clicks with `use` of their room.
-
-        An InputError becomes a sentence on the page.
-        """
-
-        def answer(body: Mapping[str, Any]) -> JsonTable:
-            clicks, height_m = clicks_from_rows(body["clicks"]), float(body["camera_height_m"])
-            clicked = room_from_clicks(clicks, picture.grid, height_m)
-            return use(clicked, body.get("replace") is True)
-
-        async def handle(request: Request) -> Response:
-            body = await json_body(request, 200_000)  # bytes: far more than the clicks of a room
-            try:
-                return JSONResponse(await asyncio.to_thread(answer, body))
-            except InputError as error:
-                return JSONResponse({"error": str(error)})
-            except (ValueError, TypeError, KeyError):
-                raise HTTPException(400) from None
-
-        return Route(path, handle, methods=["POST"])
-
     return [
         static_route("/", "click.html"),
         static_route("/click.js", "click.js"),
         static_route("/page.css", "page.css"),
         Route("/room.json", describe),
-        click_route("/solve.json", show),
-        click_route("/save.json", save),
+        _click_route("/solve.json", picture.grid, show),
+        _click_route("/save.json", picture.grid, save),
         *picture_routes(session),
     ]
 
 
-def _patches(room: Room, picture: ClickedPicture) -> list[list[float]]:
+def _click_route(
+    path: str, grid: ClickGrid, use: Callable[[ClickedRoom, bool], JsonTable]
+) -> Route:
+    """Return a route that answers posted clicks with `use` of their room.
+
+    use: is called with the room, and whether it may replace the session's room. An InputError
+    becomes a sentence on the page.
+    """
+
+    def answer(body: Mapping[str, Any]) -> JsonTable:
+        """Return what `use` returns for the clicks in a request's body."""
+        clicks, height_m = clicks_from_rows(body["clicks"]), float(body["camera_height_m"])
+        clicked = room_from_clicks(clicks, grid, height_m)
+        return use(clicked, body.get("replace") is True)
+
+    async def handle(request: Request) -> Response:
+        """Answer a request; status 400 if fields of its body are missing or wrong."""
+        body = await json_body(request, 200_000)  # bytes: far more than the clicks of a room
+        try:
+            return JSONResponse(await asyncio.to_thread(answer, body))
+        except InputError as error:
+            return JSONResponse({"error": str(error)})
+        except (ValueError, TypeError, KeyError):
+            raise HTTPException(400) from None
+
+    return Route(path, handle, methods=["POST"])
+
+
+def _patch_outlines(room: Room, picture: ClickedPicture) -> list[list[float]]:
     """Return the outlines of the sun patches in the room at the picture's time.
 
     An outline is a list x, y, x, y ... of pixel positions in the picture. The list is empty without
@@ -180,10 +187,10 @@ def _patches(room: Room, picture: ClickedPicture) -> list[list[float]]:
         at = sun.position([parse_utc(picture.slot)], site)
     except ValueError:
         return []
-    altitude, azimuth = float(at.altitude_deg[0]), float(at.azimuth_deg[0])
-    if altitude <= 0:
+    altitude_deg, azimuth_deg = float(at.altitude_deg[0]), float(at.azimuth_deg[0])
+    if altitude_deg <= 0:
         return []
-    to_sun = direction(altitude, azimuth)[None]  # [1, 3]
+    to_sun = direction(altitude_deg, azimuth_deg)[None]  # [1, 3]
     heading, size = picture.grid.heading_deg, _PATCH_HEIGHT_PX
     light = sun_patches(room, to_sun, 1.0, height=size, heading_deg=heading, sub=1)[0]  # [H, W]
     # Without the dim rim of a patch, where the sun is partly hidden. Chosen.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
-from fieldlum.core.room_states import ADDED, OFF, cover_state, indicators, parse_state
+from fieldlum.core.room_states import LAMP_OFF, LAMP_WORD, cover_state, indicators, parse_state
 from fieldlum.core.statistics import nan_percentiles
 from fieldlum.learn.models.held_out_choice import light_variance, weight_of_variance
 from fieldlum.optics.projection import equirect_rays, equirect_solid_angles
@@ -49,7 +49,7 @@ class StateColumns:
     def of(cls, light: Light) -> StateColumns:
         """Return columns for all states with which hours of `light` are marked."""
         parts = sorted({part for text in light.states or () for part in parse_state(text)})
-        lamps = tuple(part for part in parts if part.startswith(ADDED))
+        lamps = tuple(part for part in parts if part.startswith(LAMP_WORD))
         return cls(False, lamps, tuple(part for part in parts if part not in lamps))
 
     def features(self, light: Light) -> Features:
@@ -60,7 +60,7 @@ class StateColumns:
         """
         features, states = light_features(light), light.states or ("",) * len(light)
         if self.always or self.lamps:
-            always = np.array([float(OFF not in text) for text in states])[:, None]
+            always = np.array([float(LAMP_OFF not in text) for text in states])[:, None]
             on = np.hstack((always[:, : int(self.always)], indicators(states, self.lamps)))
             features = replace(features, lamps=on * (LAMP_LX / light.total_lx)[:, None])  # [n, l]
         if self.changed:

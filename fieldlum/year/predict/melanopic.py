@@ -18,7 +18,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.room_states import OFF, is_lit
+from fieldlum.core.room_states import LAMP_OFF, is_lit
 from fieldlum.learn.models.training_data import states_of
 from fieldlum.optics import melanopic
 from fieldlum.optics.images import read_panorama
@@ -99,7 +99,7 @@ class MelanopicYear:
         of that by colour; in hours that are not marked as without one it may be.
         """
         by_colour, states = self.ratio(light), light.states or ("",) * len(light)
-        may_be_lit = np.array([[OFF not in text] for text in states])
+        may_be_lit = np.array([[LAMP_OFF not in text] for text in states])
         u_lamp_rel = melanopic.ratio_u_rel(by_colour, 0.0) * may_be_lit
         ratio = by_colour * np.where(_lit(light), melanopic.LAMP_RATIO, 1.0)
         of_map = (views["ev_lx"] - views["sun_ev_lx"]) * ratio

@@ -13,7 +13,7 @@ from msgspec import structs
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import utc_text
-from fieldlum.core.room_states import OFF
+from fieldlum.core.room_states import LAMP_OFF
 from fieldlum.core.scheduler import LOCAL, Scheduler
 from fieldlum.learn.models import Fitted, load, read_config
 from fieldlum.optics import projection
@@ -250,7 +250,7 @@ def _daylight(weather: Weather, path: Path, lamps: Occupancy | None) -> Light:
     if lamps is None:
         return light
     on = lamps.at(light.t_utc, weather.site.timezone)
-    return replace(light, states=tuple("lamp=on" if lit else OFF for lit in on))
+    return replace(light, states=tuple("lamp=on" if lit else LAMP_OFF for lit in on))
 
 
 # ----------------------------------------------------------------------------------------------

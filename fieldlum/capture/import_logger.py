@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from datetime import datetime, timedelta
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import cast
 from zoneinfo import ZoneInfo
@@ -99,15 +99,12 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
     for path in day_files(session):
         if path.stem in days:
             stored_utc |= {s.t_utc for s in read_day(path)[0]}
-    added, last = 0, None
+    # Equal readings in sequence come from a table that contains a copy of itself.
+    new = [sample for sample, _ in groupby(ordered) if sample.t_utc not in stored_utc]
     with closing(DayFiles(session, flush=False)) as log:
-        for sample in ordered:
-            # Equal readings come from a table that contains a copy of itself.
-            if sample.t_utc not in stored_utc and sample != last:
-                log.append(sample)
-                added += 1
-            last = sample
-    return added
+        for sample in new:
+            log.append(sample)
+    return len(new)
 
 
 def remove_rows(session: Session, samples: Iterable[IrradianceSample]) -> int:

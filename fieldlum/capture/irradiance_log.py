@@ -38,14 +38,14 @@ class Logger:
         self.last: IrradianceSample | None = None
         self._hour, self._refused = -1, 0  # lines refused in the present hour of the day
 
-    def poll(self) -> IrradianceSample | None:
-        """Read the pyranometer once, write the reading as a row of the day file, and return it.
+    def _poll(self) -> None:
+        """Read the pyranometer once, and write the reading as a row of the day file.
 
-        Return None if the instrument is away or its answer is invalid.
+        Write nothing if the instrument is away or its answer is invalid.
         """
         device = self.keeper.get()
         if device is None:
-            return None
+            return
         asked_utc = self._clock.now()
         try:
             sample = self.keeper.call(lambda d: d.read())
@@ -56,15 +56,13 @@ class Logger:
             if self._failures >= 3:  # the port is opened again
                 self._failures = 0
                 self.keeper.mark_lost(error)
-            return None
+            return
         finally:
             self._journal_refused(device)
         self._failures = 0
         # The steady time, not the instrument's, which may be wrong.
-        sample = replace(sample, t_utc=asked_utc)
-        self._recorder.sample(sample)
-        self.last = sample
-        return sample
+        self.last = replace(sample, t_utc=asked_utc)
+        self._recorder.write_row(self.last)
 
     def _journal_refused(self, device: Pyranometer) -> None:
         """Journal the lines that the driver rejected; above 20 in an hour, only their number."""
@@ -92,7 +90,7 @@ class Logger:
         if now_s >= self._due:
             next_s = self._due + self.every_s  # not from now: the polls would drift
             self._due = next_s if next_s > now_s else now_s + self.every_s
-            self.poll()
+            self._poll()
 
     def start(self) -> None:
         """Start polling in a thread."""
