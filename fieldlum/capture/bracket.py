@@ -324,7 +324,7 @@ class BracketCapture:
 
 
 def _delete_temporary_files(folder: Path) -> None:
-    """Delete temporary files of frames that were never journalled."""
+    """Delete the files of incomplete frames in a slot's folder; their names begin with a point."""
     with suppress(OSError):
         for scrap in folder.glob(".*"):
             scrap.unlink(missing_ok=True)

@@ -397,7 +397,7 @@ SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud"
 def check_clock(synchronised: bool | None) -> Finding:
     """Return a finding on this computer's clock: a warning unless it is synchronised.
 
-    synchronised: None if unknown, which is a warning too.
+    synchronised: whether a time server controls it; None if unknown, which is a warning too.
     """
     now = f"this computer has {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
     if synchronised:
@@ -438,7 +438,7 @@ def check_writing(folder: Path) -> Iterator[Finding]:
 
 
 def check_awake() -> Iterator[Finding]:
-    """Check which locks against sleep this computer grants; see `check_sleep`."""
+    """Yield the finding of `check_sleep` on the locks against sleep that this computer grants."""
     with kept_awake() as locks:
         yield check_sleep(locks, lid=any(Path("/proc/acpi/button/lid").glob("*")))
 

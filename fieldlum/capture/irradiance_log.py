@@ -93,7 +93,7 @@ class Logger:
             self._poll()
 
     def start(self) -> None:
-        """Start polling in a thread."""
+        """Poll in a thread until `close`; return at once."""
         self._thread = threading.Thread(target=self._loop, name="irradiance", daemon=True)
         self._thread.start()
 

@@ -295,6 +295,7 @@ def clock_offset(
     if stated_s is not None:
         offset = Offset(stated_s, "--utc-offset")
     elif exif_states_offset(groups):
+        # `CardFrame.t_camera` is then UTC.
         offset = Offset(0.0, "stated in EXIF", _exif_offsets_s(groups))
     else:
         offset = find_offset(groups, slots, _expected_s(groups, slots, setup))

@@ -121,7 +121,7 @@ class UnitOutcome:
     error: BaseException | None = None
 
     def result(self) -> Any:
-        """Return the value, or raise the error."""
+        """Return the value of the call, or raise the unit's error."""
         if self.error is not None:
             raise self.error
         return self.value
@@ -358,7 +358,7 @@ def _on_cluster(units: list[WorkUnit], address: str) -> Outcomes:
         while running:
             ended = wait(running, timeout=_WORKER_REPLACEMENT_S, return_when=FIRST_COMPLETED).done
             for future in ended:
-                (unit, _), (worker, value, fault, error) = running.pop(future), _answer(future)
+                (unit, _), (worker, value, fault, error) = running.pop(future), _results_of(future)
                 if worker and fault and worker not in avoided:
                     avoided[worker] = fault
                     text = f"worker {worker}: {fault}; it gets no further units"
@@ -396,7 +396,7 @@ def _usable(client: Any, address: str, avoided: dict[str, str]) -> set[str]:
     return set()
 
 
-def _answer(future: Future[Any]) -> tuple[str, Any, str, BaseException | None]:
+def _results_of(future: Future[Any]) -> tuple[str, Any, str, BaseException | None]:
     """Return the results of a task that ended: worker, value, fault of the worker, and error.
 
     Those that are absent are "" (worker, fault) or None (value, error of the call).

@@ -189,7 +189,7 @@ def split_rows(
 
 
 def plain_rows(path: Path, expected: str, remedy: str) -> str:
-    """Return a csv as a text without comments (#) and empty lines, when its rows are checked.
+    """Check the rows of a csv; return its lines as a text, without comments (#) and empty lines.
 
     All lines must have as many cells as the first one, and no quotation marks. This is as strict as
     `split_rows`, but fast for a million rows. expected, remedy: texts for errors. Raises InputError

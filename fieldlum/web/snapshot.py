@@ -53,7 +53,7 @@ class LineTail:
         """Set the state to that of an empty file."""
 
     def add(self, line: bytes) -> None:
-        """Change the state by one line; skip a damaged one."""
+        """Change the state by one line of the file; ignore a damaged line."""
 
     def update(self) -> Self:
         """Add the complete unread lines; read a replaced or shortened file from its beginning.
@@ -90,7 +90,7 @@ class JournalFollower(LineTail):
         self.opened: JournalEvent | None = None
 
     def add(self, line: bytes) -> None:
-        """Change the state by one line; skip a damaged one."""
+        """Change the state by an event, one line of the journal; ignore a damaged line."""
         if (event := decode_event(line)) is None:
             return
         kind, device = event["event"], str(event.get("device", ""))
@@ -122,7 +122,7 @@ class DayBins(LineTail):
         self.last: tuple[datetime, float | None] | None = None
 
     def add(self, line: bytes) -> None:
-        """Change the state by one line; skip a damaged one."""
+        """Add a reading, one line of the file, to its bin; ignore a damaged line."""
         if (sample := decode_sample(line)) is None:
             return
         number = _bin_of(sample.t_utc)
@@ -220,13 +220,10 @@ def day_curve(day: date, site: Site, bins_of: Callable[[date], DayBins]) -> Json
         impossible = ((values_wm2 < low) | (values_wm2 > np.stack(high, axis=-1))).any(axis=1)
         clear_wm2 = sun.clearsky(times, site).ghi_wm2
     keep = present | (np.nan_to_num(clear_wm2) > 1.0)  # by day, or with a reading
-    ghi, dni, dhi, clear_ghi = (_numbers(v) for v in (*values_wm2[keep].T, clear_wm2[keep]))
+    names, columns = ("ghi", "dni", "dhi", "clear_ghi"), (*values_wm2[keep].T, clear_wm2[keep])
     return {
-        "ghi": ghi,
-        "dni": dni,
-        "dhi": dhi,
+        **{name: _numbers(column) for name, column in zip(names, columns, strict=True)},
         "minutes": [round((t - start).total_seconds() / 60, 1) for t in np.array(times)[keep]],
-        "clear_ghi": clear_ghi,
         "flagged": (flagged | impossible)[keep].tolist(),
         "flagged_bins": int(flagged.sum()),
         "impossible_bins": int(impossible.sum()),
