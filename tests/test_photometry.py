@@ -64,7 +64,7 @@ def test_third_stops_are_other_settings_and_rounded_values_are_not() -> None:
     assert not same_exposure(Exposure(1 / 60, 5.0), asked)  # a third of a stop in light
     assert not same_exposure(Exposure(1 / 80, 5.6), asked)
     with pytest.raises(DeviceError, match="nearest value is 5: plan"):
-        nearest(5.6, (4.0, 5.0, 8.0), "aperture", ev_per_octave=2.0)
+        nearest(5.6, (4.0, 5.0, 8.0), "aperture", ev_per_double=2.0)
 
 
 @pytest.mark.analytic

@@ -299,7 +299,7 @@ class IrradianceSample:
     """
 
     t_utc: datetime
-    ghi_wm2: float | None
+    ghi_wm2: float | None = None
     dhi_wm2: float | None = None
     dni_wm2: float | None = None
     temperature_c: float | None = None

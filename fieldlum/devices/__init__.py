@@ -37,15 +37,18 @@ from fieldlum.optics.exposure import SAME_SETTING_EV
 from fieldlum.session import Session
 
 T = TypeVar("T")
-_TRIES = 4  # while a camera is busy or a meter changes its range; chosen, not measured
+# Most calls for one result, while a camera is busy or a meter changes its range; chosen, not
+# measured.
+_MAX_TRIES = 4
 
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """Description of a camera; empty or None where the driver does not know a value.
+    """What a camera reports about itself; "" or None where the driver does not know a value.
 
-    kind : the driver, such as gphoto; clock_offset_s : the camera's clock minus the computer's [s];
-    frames_left : number of frames that the camera can still take.
+    kind : the driver, such as gphoto; battery : the level as a text, such as "80 %"; clock_offset_s
+    : the camera's clock minus the computer's [s]; frames_left : number of frames that still fit on
+    its storage.
     """
 
     kind: str
@@ -61,11 +64,12 @@ class CameraInfo:
 
 @dataclass(frozen=True, slots=True)
 class InstrumentInfo:
-    """Description of an instrument, from its answers, its profile or its driver; "" where unknown.
+    """What is known about an instrument, from its answers, profile or driver; "" where unknown.
 
     kind : the driver or register profile; calibration_date : in ISO form; sensitivity : with its
-    unit; status : "" if no fault is reported; gives : any of ghi, dhi, dni, illuminance; is_checked
-    : whether a checksum or a second query shows damaged answers, not their form alone.
+    unit; status : "" if no fault is reported; port : file or network address of its connection;
+    gives : quantities that it measures, of ghi, dhi, dni, illuminance; is_checked : whether a
+    checksum or a second query reveals damaged answers; False if only their form does.
     """
 
     kind: str
@@ -88,12 +92,10 @@ class Device:
 
 
 class Camera(Device, ABC):
-    """A camera that takes one frame at a time.
+    """A camera that takes one frame at a time; info : what it reports about itself.
 
-    A driver writes `expose`, and `close` if it holds anything open, and overrides what its camera
-    can do besides.
-
-    info : what the camera reports about itself.
+    A driver implements `expose`, `close` if it holds a connection open, and those of the other
+    methods that its camera supports.
     """
 
     info: CameraInfo
@@ -123,18 +125,24 @@ class Camera(Device, ABC):
 
 
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
-    """Return why the camera cannot take some exposures, each reason once; empty if it can."""
-    reasons: dict[str, None] = {}
+    """Return the reasons why the camera cannot take some exposures; empty if it can take all.
+
+    Exposures that are rejected for the same reason give it once.
+    """
+    reasons: list[str] = []
     for exposure in exposures:
         try:
             camera.check_offered(exposure)
         except DeviceError as error:
-            reasons[str(error)] = None
-    return list(reasons)
+            reasons.append(str(error))
+    return list(dict.fromkeys(reasons))
 
 
 def store_frame(path: Path, body: bytes) -> None:
-    """Write a frame; it is on the disk when this returns."""
+    """Write the bytes of a frame's file, and return when the disk has stored them.
+
+    Raises OSError, for example if the disk is full.
+    """
     with path.open("wb") as file:
         file.write(body)
         file.flush()
@@ -142,20 +150,22 @@ def store_frame(path: Path, body: bytes) -> None:
 
 
 def retry(
-    work: Callable[[], T], is_passing: Callable[[Exception], bool], pause_s: float = 0.0
+    action: Callable[[], T], is_temporary: Callable[[Exception], bool], pause_s: float = 0.0
 ) -> T:
-    """Return the result of `work`; call it up to four times if its error is temporary.
+    """Return the result of `action`; call it again, up to four times, after a temporary error.
 
-    is_passing: whether an error is temporary (a busy device); pause_s: between two tries [s].
+    is_temporary: returns whether an error may not occur again, such as that of a busy device;
+    pause_s: time between two calls [s]. Raises the error of the last call, or the first error that
+    is not temporary.
     """
-    for _ in range(_TRIES - 1):
+    for _ in range(_MAX_TRIES - 1):
         try:
-            return work()
+            return action()
         except Exception as error:
-            if not is_passing(error):
+            if not is_temporary(error):
                 raise
         time.sleep(pause_s)
-    return work()
+    return action()
 
 
 class Pyranometer(Device, ABC):
@@ -193,7 +203,8 @@ Options = TypeVar("Options", bound=Struct)
 class DeviceUri:
     """A parsed device URI: scheme:place?name=value&name=value.
 
-    text : all of it; options : the values by name.
+    text : the complete URI; scheme : names the driver; place : a port, address or folder, by the
+    driver; options : the values as text, by name.
     """
 
     text: str
@@ -201,21 +212,22 @@ class DeviceUri:
     place: str = ""
     options: dict[str, str] = field(default_factory=dict)
 
-    def read(self, kind: type[Options]) -> Options:
-        """Return the URI's options as a Struct with the type, limits and default of each option.
+    def read(self, options_type: type[Options]) -> Options:
+        """Return the URI's options as an object of `options_type`, the Struct of the driver.
 
-        Raises DeviceError, naming the option, for an unknown option or a bad value.
+        Its fields state the name, type, limits and default of each option. Raises DeviceError, with
+        the option's name, for an option that has no field and for a value that does not fit.
         """
         try:
-            return build(kind, self.options, self.text, strict=False)
+            return build(options_type, self.options, self.text, strict=False)
         except InputError as error:
             raise DeviceError(str(error).replace("unknown key", "unknown option")) from None
 
 
 def parse_uri(text: str) -> DeviceUri:
-    """Parse a device URI, such as ``modbus:/dev/ttyUSB0?kind=smp``.
+    """Return the parts of a device URI, such as ``modbus:/dev/ttyUSB0?kind=smp``.
 
-    Raises DeviceError without a scheme, for a repeated option or one without =.
+    Raises DeviceError for a text without a scheme, and for an option that is repeated or has no =.
     """
     scheme, colon, rest = text.partition(":")
     if not colon or not re.fullmatch(r"[a-z][a-z0-9+]*", scheme):
@@ -231,33 +243,35 @@ def parse_uri(text: str) -> DeviceUri:
     return DeviceUri(text, scheme, unquote(place), dict(pairs))
 
 
-# Schemes of URIs, and the modules whose `open_camera`, `open_pyranometer` or `open_meter` opens
-# them. A module is imported only when its scheme is used.
+# Module of fieldlum.devices by scheme of the URI; its `open_camera`, `open_meter` or
+# `open_pyranometer` opens the device. A module is imported only when its scheme is used.
 CAMERAS = {"sim": "simulated"} | {name: name for name in ("gphoto", "theta", "rpicam", "replay")}
 METERS = {"cl200a": "cl200a", "t10a": "cl200a"}
 PYRANOMETERS = {"sim": "simulated", "serial": "ascii_lines", "modbus": "modbus"}
 
 
-def _open(text: str, table: dict[str, str], what: str, **arguments: Any) -> Any:
-    """Open a device by the driver of its URI's scheme.
+def _open(text: str, modules: dict[str, str], device: str, **arguments: Any) -> Any:
+    """Return the device that a URI names, opened by the driver of the URI's scheme.
 
-    text: the URI; table: module by scheme; what: "camera", "pyranometer" or "meter", as in the name
-    of the driver's function `open_camera`. Raises DeviceError for an unknown scheme.
+    text: the URI; modules: the drivers by scheme; device: "camera", "pyranometer" or "meter";
+    arguments: of the driver's function, such as `open_camera`. Raises DeviceError for an unknown
+    scheme, and the errors of the driver.
     """
     uri = parse_uri(text)
-    if uri.scheme not in table:
-        expected = f"expected one of {', '.join(sorted(table))}"
-        remedy = f"correct the URI{did_you_mean(uri.scheme, table)}"
-        raise DeviceError(f"{text}: no {what} driver '{uri.scheme}:'; {expected}; {remedy}")
-    module = import_module(f"fieldlum.devices.{table[uri.scheme]}")
-    return getattr(module, f"open_{what}")(uri, **arguments)
+    if uri.scheme not in modules:
+        expected = f"expected one of {', '.join(sorted(modules))}"
+        remedy = f"correct the URI{did_you_mean(uri.scheme, modules)}"
+        raise DeviceError(f"{text}: no {device} driver '{uri.scheme}:'; {expected}; {remedy}")
+    driver = import_module(f"fieldlum.devices.{modules[uri.scheme]}")
+    return getattr(driver, f"open_{device}")(uri, **arguments)
 
 
 def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Camera:
     """Open the camera that a device URI names, such as ``gphoto:``, by the driver of its scheme.
 
-    uri, clock : of the capture. session : the simulator reads its SITE.toml and its rendered
-    panoramas, rpicam its planned aperture; other drivers ignore it. Raises DeviceError for a
+    clock : gives the time, and waits for the camera. session : the simulator reads its SITE.toml
+    and its rendered panoramas, rpicam its planned aperture; other drivers ignore it. Raises
+    DeviceError for a
     malformed URI, an unknown scheme or option, or a missing camera; InputError for a file of the
     session or a camera profile that cannot be used.
     """
@@ -278,28 +292,30 @@ def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) 
 def open_meter(uri: str, *, clock: Clock, session: Session | None = None) -> IlluminanceMeter:
     """Open the illuminance meter that a device URI names, such as ``cl200a:/dev/ttyUSB0``.
 
-    session : no driver uses it. Raises DeviceError for a malformed URI, an unknown scheme or
-    option, a port that cannot be opened, or a meter that does not answer.
+    clock : waits for the meter. session : not used; the other openers have it too, and a capture
+    calls all three alike. Raises DeviceError for a malformed URI, an unknown scheme or option, a
+    port that cannot be opened, or a meter that does not answer.
     """
     return _open(uri, METERS, "meter", clock=clock)
 
 
 def nearest(
-    asked: float, offered: Iterable[float], what: str, unit: str = "", *, ev_per_octave: float = 1.0
+    planned: float, offered: Iterable[float], name: str, unit: str = "", *, ev_per_double: float = 1
 ) -> float:
-    """Return the value in `offered` that is nearest to the planned setting `asked`, by ratio.
+    """Return the value, of those that a camera offers, that is nearest by ratio to a planned one.
 
-    what, unit : names of the setting and its unit, for the error. ev_per_octave : EV for a factor
-    of 2, which is 2 for f-numbers, 1 for shutter times and ISO. Raises DeviceError if the nearest
-    value is more than 1/6 EV away, or if no positive value is offered or planned.
+    name : of the setting, such as "theta shutter", and unit : of the values, for errors.
+    ev_per_double : change of the exposure [EV] for twice the value: 2 for f-numbers, 1 for shutter
+    times and ISO. Raises DeviceError if the nearest value is more than 1/6 EV away, or if no
+    positive value is offered or planned.
     """
-    choices, shown = [value for value in offered if value > 0], f"{asked:.5g} {unit}".strip()
-    if not (asked > 0 and choices):
+    choices, shown = [value for value in offered if value > 0], f"{planned:.5g} {unit}".strip()
+    if not (planned > 0 and choices):
         found = f"{shown} planned, but the camera offers no values to set"
-        raise DeviceError(f"{what}: {found}; turn it to its manual mode")
-    best = min(choices, key=lambda value: abs(math.log2(value / asked)))
-    if abs(ev_per_octave * math.log2(best / asked)) > SAME_SETTING_EV:
+        raise DeviceError(f"{name}: {found}; turn it to its manual mode")
+    best = min(choices, key=lambda value: abs(math.log2(value / planned)))
+    if abs(ev_per_double * math.log2(best / planned)) > SAME_SETTING_EV:
         step = shutter_text(best) if unit == "s" else f"{best:.5g}"
         found = f"{shown} is not offered by the camera; the nearest value is {step}"
-        raise DeviceError(f"{what}: {found}: plan with that value")
+        raise DeviceError(f"{name}: {found}: plan with that value")
     return best

@@ -15,45 +15,48 @@ from fieldlum.session import sha256
 from fieldlum.session.permits import Subject, is_permitted, subject
 
 # Options whose values are numbers or single letters in every driver. All others may name a file.
-_HARMLESS = re.compile(
+_NUMERIC_OPTIONS = re.compile(
     "seed|noise|clock_offset|f_number|delete|unit|dhi_unit|dni_unit|baud|parity|stop|"
     "timeout|silence|head"
 )
-_NAMES = ("kind", "profile")  # of a shipped file, unless the value is a path
-_PLAIN = re.compile(r"(?!.*\.toml$)[\w.-]+", re.ASCII)
+_PROFILE_OPTIONS = ("kind", "profile")  # name a shipped profile, unless the value is a path
+_SHIPPED_NAME = re.compile(r"(?!.*\.toml$)[\w.-]+", re.ASCII)
 # Serial ports alone: to open another device, such as /dev/watchdog, can have an effect.
-_PORT = re.compile(
+_SERIAL_PORT = re.compile(
     r"/dev/(?!.*\.\.)(?:tty[A-Za-z]|cu\.|serial/|rfcomm|pts/)[\w./:+-]+|usb=[\w:.-]*|COM\d+",
     re.ASCII,
 )
-_SERIAL = ("serial", "modbus", "cl200a", "t10a")
-_NO_PLACE = ("sim", "gphoto", "rpicam")  # their place is a word or a number
+_SERIAL_SCHEMES = ("serial", "modbus", "cl200a", "t10a")
+_SAFE_SCHEMES = ("sim", "gphoto", "rpicam")  # their place is a word or a number, not a path
 
 
 def permission_subject(text: str) -> Subject | None:
-    """Return what needs a permission in an address; None if it names only a device.
+    """Return the subject of a permission for a device address; None if it names only a device.
 
-    The subject changes with the content of a named file and with the place of a named folder.
+    Its digest changes with the content of a named file and with the target of a named folder.
     Raises DeviceError for a text that is no address.
     """
     uri = parse_uri(text)
-    named = [
-        value
-        for name, value in uri.options.items()
-        if not (_HARMLESS.fullmatch(name) or (name in _NAMES and _PLAIN.fullmatch(value)))
-    ]
-    is_device = uri.scheme in _NO_PLACE or (uri.scheme == "theta" and not uri.place)
-    if uri.scheme in _SERIAL:
-        is_device = _PORT.fullmatch(uri.place) is not None
+    not_devices = []
+    for name, value in uri.options.items():
+        is_shipped = name in _PROFILE_OPTIONS and _SHIPPED_NAME.fullmatch(value)
+        if not (is_shipped or _NUMERIC_OPTIONS.fullmatch(name)):
+            not_devices.append(value)
+    is_device = uri.scheme in _SAFE_SCHEMES or (uri.scheme == "theta" and not uri.place)
+    if uri.scheme in _SERIAL_SCHEMES:
+        is_device = _SERIAL_PORT.fullmatch(uri.place) is not None
     if not is_device:
-        named.append(uri.place)
-    if not named:
+        not_devices.append(uri.place)
+    if not not_devices:
         return None
-    return subject("device", text, text, *(_state(value) for value in named))
+    return subject("device", text, text, *map(_path_and_digest, not_devices))
 
 
-def _state(value: str) -> str:
-    """Return a named path without links and, for a file, the digest of its content."""
+def _path_and_digest(value: str) -> str:
+    """Return the path that an option or place names, without links, and a file's SHA-256.
+
+    value: a program, file, folder or network address. An impossible path is returned unchanged.
+    """
     path = Path(shutil.which(value) or value)
     try:
         return f"{path.resolve()} {sha256(path) if path.is_file() else ''}"
@@ -62,10 +65,11 @@ def _state(value: str) -> str:
 
 
 def require_permitted(text: str, source: Path, option: str) -> None:
-    """Raise InputError for an address of a session that names more than a device.
+    """Raise InputError for a device address that needs a permission which the user did not give.
 
-    text: the address; source: the session.toml; option: such as --camera. It is accepted if the
-    user of this computer named the address before.
+    It needs one if it names more than a device; the user gives it by a command that names the
+    address. text: the address; source: the session.toml that states it; option: of the command,
+    such as --camera.
     """
     try:
         wanted = permission_subject(text)

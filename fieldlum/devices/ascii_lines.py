@@ -12,7 +12,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from functools import reduce
 from operator import xor
 from statistics import median
@@ -29,20 +28,20 @@ from fieldlum.devices.serial_port import SerialLine, SerialPort
 from fieldlum.optics.profiles import shipped
 from fieldlum.session import Session
 
-_NUMBER = re.compile(r"[+-]?\d{1,7}(?:\.(\d{1,8}))?(?:[eE][+-]?\d{1,2})?")
+_NUMBER = re.compile(r"[+-]?\d{1,7}(?:\.(\d{1,8}))?(?:[eE][+-]?\d{1,2})?")  # group 1: decimals
 _MAX_LINE_BYTES = 1000  # bytes; a longer line has lost its end mark. Chosen, not measured.
-# Limits of temperature [C]; a number outside was misread. Chosen wider than any instrument housing
-# in use; not measured.
-_TEMPERATURES_C = (-60.0, 150.0)
+# Limits of a plausible temperature; a number outside was misread. Chosen wider than any instrument
+# housing in use; not measured.
+_TEMPERATURE_LIMITS_C = (-60.0, 150.0)
 
 
 @dataclass(frozen=True, slots=True)
 class AsciiField:
     """One number in a line that an instrument prints: quantity = scale * number + offset.
 
-    key : name of the number in the line, or its group in the pattern. The other fields reject
-    damaged numbers: `decimals`, the exact number of digits after the point; `lowest` and `highest`,
-    limits of the quantity (None: -200 to 4000 W/m2, -60 to 150 C).
+    key : name of the number in the line, or its group in the pattern. The last three fields reject
+    damaged numbers: `decimals` is the exact number of digits after the point, None for any number;
+    `lowest` and `highest` are limits of the quantity, None for -200 to 4000 W/m2 or -60 to 150 C.
     """
 
     quantity: Literal["ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c"]
@@ -58,7 +57,9 @@ class AsciiField:
 class AsciiProfile:
     """The format of the lines that an instrument prints, from instruments/ascii/NAME.toml.
 
-    pattern : regular expression for the form regex, with a group for each entry's key; checksum :
+    form : how a line states its numbers; entry : the numbers that are used; pattern : regular
+    expression for the form regex, with a group for each entry's key; line : settings of the serial
+    port; model, serial, calibration_date : of the instrument, "" if not stated; checksum :
     the line ends in * and hexadecimal digits, which check the text before the *, without a leading
     $: two digits for xor (exclusive or of the bytes, as in NMEA), four for crc16 (CRC-16/MODBUS).
     """
@@ -75,14 +76,14 @@ class AsciiProfile:
 
 
 def load_ascii_profile(name: str) -> AsciiProfile:
-    """Read the profile of an instrument's lines: a shipped one by name, any other by path.
+    """Return the profile of an instrument's lines: a shipped one by name, any other by path.
 
-    A path ends in .toml. Raises DeviceError for an unknown name or a missing file, InputError for a
-    broken profile.
+    A path ends in .toml. Raises DeviceError for an unknown name or a missing file; InputError for a
+    profile without irradiance, with a repeated quantity, or with a pattern that cannot be used.
     """
     folder = shipped("calibration") / "instruments" / "ascii"
     profile, path = read_profile(AsciiProfile, name, folder, "profile of text lines", "profile=")
-    quantities = [e.quantity for e in profile.entry]
+    quantities = [entry.quantity for entry in profile.entry]
     if len(set(quantities)) < len(quantities) or not set(quantities) - {"temperature_c"}:
         found = f"entries for {', '.join(quantities) or 'nothing'}"
         expected = "at least one of ghi_wm2, dhi_wm2 and dni_wm2, and each quantity once"
@@ -93,28 +94,29 @@ def load_ascii_profile(name: str) -> AsciiProfile:
             groups = re.compile(profile.pattern, re.ASCII).groupindex
         except re.error as error:
             raise InputError(path, f"pattern: {error}", expected, "correct it") from None
-        if missing := [e.key for e in profile.entry if e.key not in groups]:
+        if missing := [entry.key for entry in profile.entry if entry.key not in groups]:
             found = f"pattern: no group named {', '.join(missing)}"
             raise InputError(path, found, expected, "correct it")
     return profile
 
 
 def _bad_line(text: str | bytes, why: str) -> DeviceError:
+    """Return the error for a line; why: what is wrong with it, such as "has no checksum"."""
     remedy = "check cable and baud rate, or correct the profile or the instrument's program"
     return DeviceError(f"line {text[:60]!r} {why}; {remedy}")
 
 
 def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
-    """Return the quantities in one line, in the units of names such as ``ghi_wm2``, by these names.
+    """Return the quantities in one line, by names such as ``ghi_wm2`` that state the unit.
 
     line: with its line feed. Raises DeviceError for a line that is damaged or does not fit the
     profile, and for a quantity outside its limits.
     """
     text = body_of(profile, line)
-    words = _WORDS[profile.form](profile, text)
-    if missing := [e.key for e in profile.entry if e.key not in words]:
+    words = _PARSERS[profile.form](profile, text)
+    if missing := [entry.key for entry in profile.entry if entry.key not in words]:
         raise _bad_line(text, f"has no key {', '.join(missing)}")
-    return {e.quantity: _value(words[e.key], e, text) for e in profile.entry}
+    return {entry.quantity: _value(words[entry.key], entry, text) for entry in profile.entry}
 
 
 def body_of(profile: AsciiProfile, line: bytes) -> str:
@@ -128,25 +130,25 @@ def body_of(profile: AsciiProfile, line: bytes) -> str:
             line, f"of {len(line)} bytes has no line feed, or over {_MAX_LINE_BYTES} bytes"
         )
     data = line.rstrip(b"\r\n")
-    if not data.isascii() or any(c < 32 and c != 9 for c in data):
+    if not data.isascii() or any(byte < ord(" ") and byte != ord("\t") for byte in data):
         raise _bad_line(line, "has bytes that are not ASCII text")
     text = data.decode("ascii")
     if profile.checksum == "none":
         return text
     body, star, digits = text.rpartition("*")
     data = body.removeprefix("$").encode("ascii")
-    due = f"{reduce(xor, data, 0):02X}" if profile.checksum == "xor" else f"{crc16(data):04X}"
+    expected = f"{reduce(xor, data, 0):02X}" if profile.checksum == "xor" else f"{crc16(data):04X}"
     if not star:
-        raise _bad_line(text, f"has no checksum; expected * and {len(due)} hexadecimal digits")
-    if digits.upper() != due:
-        raise _bad_line(text, f"has the checksum *{digits[:8]}; expected *{due}")
+        raise _bad_line(text, f"has no checksum; expected * and {len(expected)} hexadecimal digits")
+    if digits.upper() != expected:
+        raise _bad_line(text, f"has the checksum *{digits[:8]}; expected *{expected}")
     return body
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC-16/MODBUS of some bytes: polynomial 0x8005 reflected, start 0xFFFF.
+    """Return the checksum CRC-16/MODBUS of some bytes (polynomial 0x8005 reflected, start 0xFFFF).
 
-    This equals `_crc16_update` of avr-libc.
+    It equals `_crc16_update` of avr-libc, which Arduino programs use.
     """
     from pymodbus.framer import FramerRTU
 
@@ -154,15 +156,19 @@ def crc16(data: bytes) -> int:
     return int.from_bytes(FramerRTU.compute_CRC(data).to_bytes(2, "big"), "little")
 
 
-def _by_regex(profile: AsciiProfile, text: str) -> Mapping[str, object]:
+def _words_by_regex(profile: AsciiProfile, text: str) -> Mapping[str, object]:
+    """Return the texts of the profile's named groups; raise DeviceError if a line does not fit."""
     match = re.fullmatch(profile.pattern, text, re.ASCII)
     if match is None:
         raise _bad_line(text, "does not fit the pattern of the instrument's profile")
     return match.groupdict()
 
 
-def _by_keys(profile: AsciiProfile, text: str) -> Mapping[str, object]:
-    """Return the values by key; every word must be key=value, and each key must occur once."""
+def _words_by_keys(profile: AsciiProfile, text: str) -> Mapping[str, object]:
+    """Return the texts of the values in a line of words key=value, by key.
+
+    Raises DeviceError for a word of another form and for a key that occurs twice.
+    """
     words = [word.partition("=") for word in re.split(r"[,;\s]+", text.strip(" \t,;"))]
     values = {key: value for key, equals, value in words if key and equals}
     if len(values) < len(words):
@@ -170,21 +176,20 @@ def _by_keys(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     return values
 
 
-def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
-    """Return the values of a line by key, numbers as text.
+def _words_by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
+    """Return the values of a JSON object by key, numbers as text, so that decimals can be counted.
 
-    Raises DeviceError for no JSON object.
+    Raises DeviceError for a line that is no JSON object, and for a key that occurs twice.
     """
 
-    def once(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    def without_repeated_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
         if len(dict(pairs)) < len(pairs):
             raise ValueError("a key occurs twice")
         return dict(pairs)
 
-    # Numbers stay text, so that their decimals can be counted.
     as_text = dict.fromkeys(("parse_float", "parse_int", "parse_constant"), str)
     try:
-        parsed = json.loads(text, object_pairs_hook=once, **as_text)
+        parsed = json.loads(text, object_pairs_hook=without_repeated_keys, **as_text)
     except (ValueError, RecursionError):
         parsed = None
     if not isinstance(parsed, dict):
@@ -192,30 +197,27 @@ def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     return parsed
 
 
-_WORDS = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}
+_PARSERS = {"regex": _words_by_regex, "key-value": _words_by_keys, "json": _words_by_json}
 
 
 def _value(word: object, entry: AsciiField, text: str) -> float:
-    """Return the quantity of an entry. Raises DeviceError for a number of another form or range."""
+    """Return the quantity of an entry, in the unit of its name.
+
+    word: the text of the number; text: of the line, for errors. Raises DeviceError for a word that
+    is no number, another number of decimals, and a quantity outside its limits.
+    """
     match = _NUMBER.fullmatch(word.strip()) if isinstance(word, str) else None
     if match is None or entry.decimals not in (None, len(match[1] or "")):
         form = f" with {entry.decimals} decimals" if entry.decimals is not None else ""
         raise _bad_line(text, f"has {entry.key} {word!r}; expected a number{form}")
     value = entry.scale * float(match[0]) + entry.offset
-    low, high = (MIN_WM2, MAX_WM2) if entry.quantity.endswith("_wm2") else _TEMPERATURES_C
+    is_irradiance = entry.quantity.endswith("_wm2")
+    low, high = (MIN_WM2, MAX_WM2) if is_irradiance else _TEMPERATURE_LIMITS_C
     low = low if entry.lowest is None else entry.lowest
     high = high if entry.highest is None else entry.highest
     if not low <= value <= high:
         raise _bad_line(text, f"has {entry.quantity} {value:g}; expected {low:g} to {high:g}")
     return value
-
-
-def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> IrradianceSample:
-    """Return a pyranometer sample of `values`, by name such as ``ghi_wm2``; missing ones are None.
-
-    raw : the instrument's own text, stored with the sample.
-    """
-    return IrradianceSample(t_utc=t_utc, **{"ghi_wm2": None, **values}, raw=raw)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -224,30 +226,32 @@ def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> 
 # Time without a line [s] after which the instrument counts as silent: longer than the restart of an
 # Arduino, because opening the line restarts most of them.
 SILENCE_S = 5.0
-_VOTES = 3  # lines whose median is taken
-_RECENT_LINES = 60  # whose form counts: half a minute to some minutes
-_NUMBER_OF_STREAM = re.compile(r"[ \t]*[+-]?\d+(?:\.(\d+))?(?:[eE][+-]?\d{1,2})?")
+_MEDIAN_LINES = 3  # the fewest of which a median rejects one damaged value
+_RECENT_LINES = 60  # whose form counts: half a minute to some minutes of a stream; chosen
+_ANY_NUMBER = re.compile(r"[ \t]*[+-]?\d+(?:\.(\d+))?(?:[eE][+-]?\d{1,2})?")  # group 1: decimals
 
 
 class LineForm:
-    """The form of the last 60 lines of a stream, against which each new line is checked.
+    """The forms of the last 60 lines of a stream, with which each new line is compared.
 
-    The form is the text around the numbers and their decimals. A damaged line that still reads as
-    numbers often differs in it from all earlier lines. It need not be stated in a profile.
+    The form of a line is the text around its numbers, and how many decimals each number has. A
+    damaged line that can still be read often differs in its form from all earlier lines. No profile
+    needs to state the form.
     """
 
     def __init__(self) -> None:
         self._forms: deque[str] = deque(maxlen=_RECENT_LINES)
 
     def difference(self, text: str) -> str:
-        """Return how a line differs from the form of nearly all earlier lines, or ""; store it.
+        """Return how a line differs in form from earlier lines, and store its form.
 
-        The result is "" until 20 lines are known. After a permanent change of the form, two lines
-        are rejected, then the new form is accepted.
+        The result is "" for the usual form, for the first 20 lines, and while two of the earlier
+        lines have another form: after a permanent change, two lines are rejected, then the new form
+        is accepted.
         """
         usual, count = Counter(self._forms).most_common(1)[0] if self._forms else ("", 0)
         is_settled = len(self._forms) >= _RECENT_LINES // 3 and len(self._forms) - count <= 1
-        form = _NUMBER_OF_STREAM.sub(lambda match: "#" + "0" * len(match[1] or ""), text)
+        form = _ANY_NUMBER.sub(lambda number: "#" + "0" * len(number[1] or ""), text)
         form = re.sub(r"[ \t]+", " ", form)
         self._forms.append(form)
         if not is_settled or form == usual:
@@ -256,42 +260,44 @@ class LineForm:
 
 
 class LineInstrument(Pyranometer):
-    """An instrument that sends lines.
+    """An instrument that sends lines of text by itself.
 
     A reading is the newest line since the last reading, or else the next line. If three or more
     lines have arrived, on average at most two seconds apart, each quantity is the median of the
-    newest three: one damaged value is outside the other two, or does no harm between them. Raises
-    DeviceError if the port cannot be opened.
+    newest three, so that one damaged value is not used. Raises DeviceError if the port cannot be
+    opened.
     """
 
     def __init__(
         self, place: str, profile: AsciiProfile, clock: Clock, *, silence_s: float = SILENCE_S
     ) -> None:
-        """Open the port; silence_s: without a valid line for so long, reading is an error."""
-        p = profile
+        """Open the serial port `place`.
+
+        silence_s: time without a valid line [s] after which reading raises DeviceError.
+        """
         self._profile, self._clock, self._silence_s = profile, clock, silence_s
-        self._port = SerialPort(place, p.line, timeout_s=0.05)  # sets how often it is polled
-        # None: the first line may have begun before the port was opened.
-        self._rest: bytes | None = None
+        self._port = SerialPort(place, profile.line, timeout_s=0.05)  # sets how often it is polled
+        # Bytes of the line that is incomplete; None before the first line end, because the first
+        # line may have begun before the port was opened.
+        self._incomplete: bytes | None = None
         self._form = LineForm()
         self._refused: deque[str] = deque(maxlen=100)  # for `refused`
         self._last_read_s = clock.boottime()
-        quantities = (e.quantity.partition("_wm2") for e in p.entry)
-        gives = tuple(name for name, is_light, _ in quantities if is_light)
+        quantities = [entry.quantity for entry in profile.entry]
         self.info = InstrumentInfo(
             kind="ascii",
-            model=p.model or p.name,
-            serial=p.serial,
-            calibration_date=p.calibration_date,
+            model=profile.model or profile.name,
+            serial=profile.serial,
+            calibration_date=profile.calibration_date,
             port=self._port.name,
-            gives=gives,
-            is_checked=p.checksum != "none",
+            gives=tuple(q.removesuffix("_wm2") for q in quantities if q.endswith("_wm2")),
+            is_checked=profile.checksum != "none",
         )
 
     def read(self) -> IrradianceSample:
-        """Return a reading; wait for a line if there is none.
+        """Return a reading of the lines since the last one; wait for a line if there is none.
 
-        Raises DeviceError if no line that fits the profile and the format of earlier lines arrives
+        Raises DeviceError if no line that fits the profile and the form of earlier lines arrives
         within the silence time (default: 5 s), or if the port fails.
         """
         deadline = time.monotonic() + self._silence_s
@@ -310,24 +316,25 @@ class LineInstrument(Pyranometer):
                 raise DeviceError(f"{self._port.name}: {why}")
 
     def _checked(self, line: bytes) -> tuple[str, dict[str, float]]:
+        """Return the text of a line and its quantities by name; raise DeviceError if damaged."""
         values = parse_line(self._profile, line)
         if reason := self._form.difference(body_of(self._profile, line)):
             raise DeviceError(f"the line differs from earlier lines: {reason}; check the cable")
         return line.decode("ascii").strip(), values
 
     def _reading(self, valid: Sequence[tuple[str, dict[str, float]]]) -> IrradianceSample:
-        """Return the last line's values, or the medians of some lines that are near in time.
+        """Return the last line's values, or the medians of the last three if they are near in time.
 
         valid: text and values of each line since the last reading.
         """
-        now = self._clock.boottime()
-        apart_s = (now - self._last_read_s) / len(valid)
-        self._last_read_s = now
+        now_s = self._clock.boottime()
+        apart_s = (now_s - self._last_read_s) / len(valid)
+        self._last_read_s = now_s
         # over longer times the light changes (docs/validation.md)
-        can_vote = len(valid) >= _VOTES and apart_s <= 2.0
-        texts, values = zip(*valid[-_VOTES if can_vote else -1 :], strict=True)
-        middle = {q: median(line[q] for line in values) for q in values[-1]}
-        return sample_of(self._clock.now(), middle, " | ".join(dict.fromkeys(texts)))
+        is_median = len(valid) >= _MEDIAN_LINES and apart_s <= 2.0
+        texts, values = zip(*valid[-_MEDIAN_LINES if is_median else -1 :], strict=True)
+        medians = {name: median(line[name] for line in values) for name in values[-1]}
+        return IrradianceSample(self._clock.now(), **medians, raw=" | ".join(dict.fromkeys(texts)))
 
     def refused(self) -> list[str]:
         """Return the lines rejected since the last call (the newest 100), each with the reason."""
@@ -336,16 +343,16 @@ class LineInstrument(Pyranometer):
         return refused
 
     def _lines(self) -> list[bytes]:
-        """Return the complete lines received; an incomplete line stays for the next call."""
+        """Return the complete lines received; an incomplete line is stored for the next call."""
         data = self._port.drain() or self._port.read(1) + self._port.drain()
-        if self._rest is None:
+        if self._incomplete is None:
             if b"\n" not in data:
                 return []
             data = data.partition(b"\n")[2]
-            self._rest = b""
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > _MAX_LINE_BYTES:  # without an end mark the baud rate is wrong
-            self._rest = None
+            self._incomplete = b""
+        *lines, self._incomplete = (self._incomplete + data).split(b"\n")
+        if len(self._incomplete) > _MAX_LINE_BYTES:  # without a line end the baud rate is wrong
+            self._incomplete = None
         return [line + b"\n" for line in lines]
 
     def close(self) -> None:
@@ -353,7 +360,7 @@ class LineInstrument(Pyranometer):
         self._port.close()
 
 
-class _Options(Struct):
+class _Spn1Options(Struct):
     kind: Literal["spn1", "ascii"]
     baud: Annotated[int, Meta(ge=300, le=921600)] = 9600
     timeout: Annotated[float, Meta(ge=0.1, le=60.0)] = 2.0
@@ -368,8 +375,9 @@ class _LineOptions(Struct):
 def open_pyranometer(uri: DeviceUri, clock: Clock, session: Session | None = None) -> Pyranometer:
     """Open the serial pyranometer that a URI names: an SPN1, or one that prints lines.
 
-    Raises DeviceError for unknown options, a missing port, kind or profile, and for an SPN1 that
-    does not answer; InputError for a broken profile.
+    clock: gives the times of readings; session: not used. Raises DeviceError for unknown options, a
+    missing port, kind or profile, and for an SPN1 that does not answer; InputError for a profile
+    that cannot be used.
     """
     is_ascii = uri.options.get("kind") == "ascii"
     if not uri.place or "kind" not in uri.options or (is_ascii and "profile" not in uri.options):
@@ -379,7 +387,7 @@ def open_pyranometer(uri: DeviceUri, clock: Clock, session: Session | None = Non
         stated = uri.read(_LineOptions)
         profile = load_ascii_profile(stated.profile)
         return LineInstrument(uri.place, profile, clock, silence_s=stated.silence)
-    options = uri.read(_Options)
+    options = uri.read(_Spn1Options)
     from fieldlum.devices.spn1 import Spn1
 
     return Spn1(uri.place, clock, baud=options.baud, timeout_s=options.timeout)

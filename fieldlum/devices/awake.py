@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
-# A closed lid needs a lock of its own. If it is refused (for example in a remote login), the other
-# two locks are still requested.
-_WHAT = ("sleep:idle:handle-lid-switch", "sleep:idle")
-_PATIENCE_S = 5.0  # for an answer of the lock's process
+# Locks of systemd, requested in this order until one set is granted. A remote login, for example,
+# may not lock the lid's switch.
+_LOCKS = ("sleep:idle:handle-lid-switch", "sleep:idle")
+_PATIENCE_S = 5.0  # for an answer of the lock's process; chosen, not measured
 
 
 @contextmanager
@@ -20,15 +20,16 @@ def kept_awake() -> Iterator[str]:
     lock was granted. The lock ends with this process, even after a crash.
     """
     with ExitStack() as processes:
-        yield next((what for what in _WHAT if _is_granted(what, processes)), "")
+        yield next((locks for locks in _LOCKS if _is_granted(locks, processes)), "")
 
 
-def _is_granted(what: str, processes: ExitStack) -> bool:
-    """Start `cat` under the lock, until `processes` closes; return whether the lock is granted.
+def _is_granted(locks: str, processes: ExitStack) -> bool:
+    """Return whether systemd grants some locks; hold them until `processes` closes.
 
-    The process answers once the lock is granted, and ends when this process ends.
+    systemd-inhibit holds them while its command runs. The command is `cat`, which repeats a line
+    once the locks are granted, and ends when this process ends and so closes its input.
     """
-    command = ["systemd-inhibit", f"--what={what}", "--who=fieldlum", "--why=captures are planned"]
+    command = ["systemd-inhibit", f"--what={locks}", "--who=fieldlum", "--why=captures are planned"]
     pipe = subprocess.PIPE
     pipes: dict[str, Any] = {"stdin": pipe, "stdout": pipe, "stderr": subprocess.DEVNULL}
     with suppress(OSError):

@@ -19,14 +19,16 @@ from fieldlum.devices import DeviceUri, IlluminanceMeter, InstrumentInfo, retry
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error
 
-# Commands and frame marks of CS-A32T; T-10 has the same first one.
+# Commands of CS-A32T: receptor head (99: all), number of the command, four parameters. The T-10 has
+# the same first one.
 PC_MODE = b"00541   "
 HOLD = b"99551  0"
 EXT_ON = b"004010  "
 MEASURE = b"994021  "
 READ_EVXY = b"00021200"
-READ_T10 = b"100200"  # of a head: running, without the user's factor (CCF), automatic range
-STX, ETX = b"\x02", b"\x03"
+# After the number of a head: running, without the user's factor (CCF), automatic range.
+READ_T10 = b"100200"
+STX, ETX = b"\x02", b"\x03"  # marks of a frame: start and end of its text
 _ERRORS = {
     "1": "the receptor head was switched off; restart the meter",
     "2": "memory error; restart the meter",
@@ -37,27 +39,36 @@ _ERRORS = {
 _Parity = Literal["E", "N"]
 _PAUSE_S = 0.5  # that the meter needs after PC mode, hold and measure (CS-A32T)
 _RANGE_PAUSE_S = 3.0  # that a T-10 needs to find its range
-_ANSWER = re.compile(r"(\d{2})(\d{2})(.)(.)(.).((?:[+\-=][ \d]{4}\d){3})", re.DOTALL)
-# status: hold, error, range, battery; after the illuminance two differences, or spaces
-_T10_ANSWER = re.compile(r"(\d{2})10.(.)(.).([+\-=][ \d]{4}\d).{12}", re.DOTALL)
+# Head and command; status (hold, error, range, battery); then Ev, x and y.
+_ANSWER = re.compile(r"(?s)\d{4}.(?P<error>.)(?P<range>.).(?P<values>([+\-=][ \d]{4}\d){3})")
+# The same status; after the illuminance two differences, or spaces.
+_T10_ANSWER = re.compile(
+    r"(?s)(?P<head>\d{2})10.(?P<error>.)(?P<range>.).(?P<lux>[+\-=][ \d]{4}\d).{12}"
+)
 
 
 class NotReady(DeviceError):
-    """Signal that the meter changes its range, or has not measured yet: measure again."""
+    """The meter changes its range, or has not measured yet; a new measurement may succeed."""
 
 
 def bcc(body: bytes) -> bytes:
-    """Return the check digits (BCC) of a body without STX and ETX: two hex digits."""
+    """Return the two hexadecimal check digits of a frame (BCC).
+
+    body: its text, without STX and ETX.
+    """
     return b"%02X" % reduce(xor, body + ETX)
 
 
 def frame(body: bytes) -> bytes:
-    """Return a body with its frame: STX, body, ETX, check digits, CR and LF."""
+    """Return a command as it is sent: STX, the text `body`, ETX, check digits, CR and LF."""
     return STX + body + ETX + bcc(body) + b"\r\n"
 
 
 def unframe(reply: bytes) -> str:
-    """Return the body of a frame. Raises DeviceError for a damaged or incomplete frame."""
+    """Return the text in a frame that the meter sent, without marks and check digits.
+
+    Raises DeviceError for an incomplete frame or wrong check digits.
+    """
     match = re.fullmatch(rb"\x02([^\x02\x03]*)\x03([0-9A-F]{2})\r\n", reply)
     if match is None or bcc(match[1]) != match[2] or not match[1].isascii():
         expected = "expected a frame with the right check digits"
@@ -65,15 +76,16 @@ def unframe(reply: bytes) -> str:
     return match[1].decode("ascii")
 
 
-def _value(six: str) -> float:
-    """Return a number of sign, four digits and exponent: '+12345' is 1234 x 10^(5 - 4).
+def _value(text: str) -> float:
+    """Return the number in six characters: sign, four digits and exponent.
 
-    An equals sign in place of the sign means plus or minus zero.
+    '+12345' is 1234 x 10^(5 - 4). An equals sign in place of the sign means plus or minus zero.
+    Raises DeviceError for a number without digits.
     """
-    digits = six[1:5].replace(" ", "")
+    sign, digits, exponent = text[0], text[1:5].replace(" ", ""), int(text[5])
     if not digits:
-        raise DeviceError(f"the meter sent a value {six!r} without digits; check the cable")
-    return (-1.0 if six[0] == "-" else 1.0) * float(digits) * 10.0 ** (int(six[5]) - 4)
+        raise DeviceError(f"the meter sent a value {text!r} without digits; check the cable")
+    return (-1.0 if sign == "-" else 1.0) * float(digits) * 10.0 ** (exponent - 4)
 
 
 def parse_answer(reply: bytes) -> float:
@@ -84,17 +96,18 @@ def parse_answer(reply: bytes) -> float:
     range or has not measured yet.
     """
     body = unframe(reply)
-    match = _ANSWER.fullmatch(body)
-    if match is None:
+    answer = _ANSWER.fullmatch(body)
+    if answer is None:
         why = f"an answer without values ({body[:30]!r})"
-        raise DeviceError(f"CL-200A: {_ERRORS.get(body[5:6], why) if len(body) == 8 else why}")
-    if match[4] in _ERRORS:
-        raise DeviceError(f"CL-200A: {_ERRORS[match[4]]}")
-    if match[4] == "4":
+        is_error = len(body) == 8  # head, command and status alone
+        raise DeviceError(f"CL-200A: {_ERRORS.get(body[5:6], why) if is_error else why}")
+    if answer["error"] in _ERRORS:
+        raise DeviceError(f"CL-200A: {_ERRORS[answer['error']]}")
+    if answer["error"] == "4":
         raise NotReady("CL-200A has not measured yet; wait some seconds, then read it again")
-    if match[5] == "6":
+    if answer["range"] == "6":
         raise NotReady("CL-200A changes its range; read it again in steady light")
-    illuminance_lx, x, y = (_value(match[6][i : i + 6]) for i in (0, 6, 12))
+    illuminance_lx, x, y = (_value(answer["values"][i : i + 6]) for i in (0, 6, 12))
     if not (0.0 <= illuminance_lx <= 200_000.0 and 0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
         found = f"{illuminance_lx:g} lx with chromaticity x {x:g}, y {y:g}"
         expected = "expected 0 to 200000 lx and x, y from 0 to 1"
@@ -110,15 +123,16 @@ def parse_t10_answer(reply: bytes, head: int) -> float:
     has no range.
     """
     body = unframe(reply)
-    match = _T10_ANSWER.fullmatch(body)
-    if match is None or int(match[1]) != head:
+    answer = _T10_ANSWER.fullmatch(body)
+    if answer is None or int(answer["head"]) != head:
         found = f"T-10A: head {head:02d} was asked; the answer is {body[:30]!r}"
         raise DeviceError(f"{found}; expected its values; check the heads' rotary switches")
-    if match[2] not in " 7":  # both: normal operation
-        raise DeviceError(f"T-10A: {_ERRORS.get(match[2], f'error {match[2]}; restart the meter')}")
-    if match[3] not in "12345":
+    error = answer["error"]
+    if error not in " 7":  # both: normal operation
+        raise DeviceError(f"T-10A: {_ERRORS.get(error, f'error {error}; restart the meter')}")
+    if answer["range"] not in "12345":
         raise NotReady("T-10A changes its range; read it again in steady light")
-    illuminance_lx = _value(match[4])
+    illuminance_lx = _value(answer["lux"])
     if not 0.0 <= illuminance_lx <= 299_900.0:
         expected = "expected 0 to 299900 lx"
         raise DeviceError(f"T-10A: {illuminance_lx:g} lx; {expected}; set its zero again")
@@ -128,10 +142,10 @@ def parse_t10_answer(reply: bytes, head: int) -> float:
 class FramedMeter(IlluminanceMeter):
     """A CL-200A, or one receptor head of a chain of T-10A, on a serial port.
 
-    place : the port; sleep : waits for a number of seconds; parity : "N" for a line of 8 bits
-    without parity: for converters that remove it, and for tests on a pty; head : of a T-10A, 0 to
-    29 as set on its rotary switch; None for a CL-200A. Raises DeviceError if the port cannot be
-    opened, or if the meter does not answer or its answer is damaged.
+    place : the port; sleep : waits for a number of seconds; parity : "N" for 8 bits without parity
+    in place of 7 bits with even parity, for converters that remove it, and for tests on a pty; head
+    : of a T-10A, 0 to 29 as set on its rotary switch; None for a CL-200A. Raises DeviceError if the
+    port cannot be opened, or if the meter does not answer or its answer is damaged.
     """
 
     def __init__(
@@ -157,7 +171,7 @@ class FramedMeter(IlluminanceMeter):
                 sleep(_PAUSE_S)
                 self._answer(EXT_ON)
                 sleep(_PAUSE_S)
-            else:  # sets the conditions; the answer's value is older than they are
+            else:  # sets range and factor; the answer's value was measured before
                 self._answer(b"%02d" % head + READ_T10)
                 sleep(_RANGE_PAUSE_S)
 
@@ -170,7 +184,7 @@ class FramedMeter(IlluminanceMeter):
         return retry(self._measure, lambda error: isinstance(error, NotReady))
 
     def _measure(self) -> float:
-        """Measure once and return the illuminance [lx]."""
+        """Measure once and return the illuminance [lx]; raise NotReady if a repetition may help."""
         if self._head is None:
             self._port.drain()
             self._port.write(frame(MEASURE))
@@ -180,7 +194,10 @@ class FramedMeter(IlluminanceMeter):
         return parse_t10_answer(self._answer(b"%02d" % self._head + READ_T10), self._head)
 
     def _answer(self, command: bytes) -> bytes:
-        """Send a command and return the framed answer; raise DeviceError without a valid one."""
+        """Send a command and return the frame of the answer; raise DeviceError without a valid one.
+
+        command: the text of its frame.
+        """
         self._port.drain()
         self._port.write(frame(command))
         reply = self._port.read_until(b"\r\n", 128)

@@ -1,22 +1,22 @@
-"""Provide clocks: the computer's, and a simulated one that can be stepped and suspended."""
+"""Provide clocks: the computer's, and a simulated one that waits without taking time."""
 
 import time
 from datetime import UTC, datetime, timedelta
 
 
 class Clock:
-    """The computer's own clocks: wall time, seconds with and without its sleep, waiting."""
+    """The computer's clocks: wall time, and seconds that include its sleep or do not; waiting."""
 
     def now(self) -> datetime:
-        """Return wall time, aware UTC; users and time servers may step it."""
+        """Return the wall time as aware UTC; users and time servers may step it."""
         return datetime.now(UTC)
 
     def monotonic(self) -> float:
-        """Return seconds since a fixed start; on Linux they stop while the computer sleeps."""
+        """Return the seconds [s] since a fixed start; on Linux without the computer's sleep."""
         return time.monotonic()
 
     def boottime(self) -> float:
-        """Return seconds since a fixed start; on Linux they continue while the computer sleeps."""
+        """Return the seconds [s] since a fixed start; on Linux with the computer's sleep."""
         # On macOS and Windows time.monotonic already counts sleep, or no clock does.
         is_linux = hasattr(time, "CLOCK_BOOTTIME")
         return time.clock_gettime(time.CLOCK_BOOTTIME) if is_linux else time.monotonic()
@@ -29,8 +29,8 @@ class Clock:
 class FastClock(Clock):
     """A simulated clock: `sleep` returns at once and moves its time forward.
 
-    start : first time, aware; true_utc : time of the simulated sun. Raises ValueError for a naive
-    start.
+    start : first time, with a time zone; true_utc : time of the simulated sun, which a subclass
+    whose clock is wrong does not return as `now`. Raises ValueError for a start without a zone.
     """
 
     def __init__(self, start: datetime) -> None:

@@ -27,25 +27,28 @@ from fieldlum.session import Session, disk_is_full
 # Timeout of a command [s], in addition to the shutter time. Chosen so that slow cards pass; not
 # measured.
 PATIENCE_S = 30.0
-_LATE_MS = 150  # that the second file of a raw and JPEG pair may be late; chosen
+_LATE_MS = 150  # wait for the second file of a raw and JPEG pair; chosen
+_BUSY = -110  # code of an error of libgphoto2: GP_ERROR_CAMERA_BUSY
 _NUMBER = re.compile(r"(?:f/|iso ?)?(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))? ?s?", re.IGNORECASE)
-# Names of the three settings by brand; the first name that a camera has is used.
+# Names of the three settings by brand, in the order in which they are set; the first name that a
+# camera has is used.
 _WIDGETS = {
-    "shutter": ("shutterspeed", "shutterspeed2", "exptime"),
     "aperture": ("aperture", "f-number"),
     "iso": ("iso", "isospeed"),
+    "shutter": ("shutterspeed", "shutterspeed2", "exptime"),
 }
 _REMEDY = (
     "switch the camera on, set it to PTP, check its cable and whether its card is full, and end "
     "other programs that use it ('gio mount -s gphoto2')"
 )
 Serve = Callable[[Connection], None]
+"""The function that a child process runs: it answers commands through a pipe."""
 
 
 def setting_value(text: str) -> float | None:
-    """Return the number in a camera's text, in s or without unit: 1/250, 0.0040s, f/5.6, ISO 100.
+    """Return the number in a camera's text of a setting: shutter time [s], f-number or ISO.
 
-    Return None for Bulb, Auto and other words.
+    Texts are such as 1/250, 0.0040s, f/5.6 and ISO 100. None for Bulb, Auto and other words.
     """
     match = _NUMBER.fullmatch(text.strip())
     if match is None or (match[2] is not None and not float(match[2])):
@@ -53,23 +56,22 @@ def setting_value(text: str) -> float | None:
     return float(match[1]) / float(match[2] or 1)
 
 
-def choose(role: str, asked: float, choices: list[str]) -> str:
-    """Return the entry of `choices`, as the camera writes it, that is nearest to the value `asked`.
+def choose(setting: str, planned: float, choices: list[str]) -> str:
+    """Return the camera's text, of those in `choices`, for the value nearest by ratio to `planned`.
 
-    role : shutter ([s]), aperture (f-number) or iso; nearest : by ratio. Raises DeviceError if no
-    choice is within 1/6 EV.
+    setting : shutter ([s]), aperture (f-number) or iso. Raises DeviceError if no choice is within
+    1/6 EV.
     """
     offered = {value: text for text in choices if (value := setting_value(text)) is not None}
-    unit, ev_per_octave = ("s" if role == "shutter" else ""), 1.0 + (role == "aperture")
-    return offered[nearest(asked, offered, f"camera {role}", unit, ev_per_octave=ev_per_octave)]
+    unit = "s" if setting == "shutter" else ""
+    ev = 2.0 if setting == "aperture" else 1.0
+    return offered[nearest(planned, offered, f"camera {setting}", unit, ev_per_double=ev)]
 
 
 class GphotoCamera(Camera):
-    """A tethered camera, by libgphoto2 in a child process that a hang or a crash ends.
+    """A tethered camera; libgphoto2 runs in a child process, which is killed if it hangs.
 
-    delete : whether copied pictures are deleted from the card; readout_s : time that is added to
-    the shutter time before a call counts as hung. Raises DeviceError if the camera cannot be opened
-    or offers no shutter times.
+    Raises DeviceError if the camera cannot be opened or offers no shutter times.
     """
 
     def __init__(
@@ -77,26 +79,29 @@ class GphotoCamera(Camera):
     ) -> None:
         """Open the first camera whose name contains `model`, in a child process that runs `serve`.
 
-        delete: delete pictures on the card after copying; readout_s: time limit of one readout.
+        delete: delete pictures on the card after copying; readout_s: longest time for a frame, in
+        addition to its shutter time, before the process counts as hung.
         """
         self._child = Child("gphoto", serve)
         self._delete, self._readout_s = delete, readout_s
         with closed_on_error(self):
             about: dict[str, Any] = self._child.ask("open", model, timeout_s=PATIENCE_S)
+            # name of the widget and its choices, by setting: shutter, aperture, iso
             self._settings: dict[str, tuple[str, list[str]]] = about.pop("settings")
             self.info = CameraInfo("gphoto", **about)
             if "shutter" not in self._settings:
                 raise DeviceError("gphoto: the camera offers no shutter times; set its dial to M")
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set what the camera lets a computer set, take the frame and copy it; return the file.
+        """Take one frame, copy it to `target` plus the camera's suffix, and return the file.
 
-        heading_deg must be None. The EXIF of the frame is not checked: a manual lens or a fixed
-        setting cannot be set. Raises DeviceError for a heading, or if the camera fails, does not
-        offer the exposure or shows another setting, and OSError if the disk is full.
+        Only settings that a computer can set are set, for example no aperture of a manual lens; the
+        frame's EXIF is not checked. heading_deg must be None. Raises DeviceError for a heading, or
+        if the camera fails, does not offer the exposure or shows another setting, and OSError if
+        the disk is full.
         """
         self.refuse_turning(heading_deg)
-        for widget, text in self._chosen(exposure).items():
+        for widget, text in self._texts_by_widget(exposure).items():
             shown = self._child.ask("set", widget, text, timeout_s=PATIENCE_S)
             if shown != text:
                 found = f"{widget} was set to {text}, but the camera shows {shown}"
@@ -109,14 +114,17 @@ class GphotoCamera(Camera):
 
         Settings that the camera does not let a computer set are not checked.
         """
-        self._chosen(exposure)
+        self._texts_by_widget(exposure)
 
-    def _chosen(self, exposure: Exposure) -> dict[str, str]:
-        """Return the camera's own text of each setting, by widget."""
-        e = exposure
-        wanted = {"aperture": e.f_number, "iso": e.iso, "shutter": e.shutter_s}
-        settable = {role: self._settings[role] for role in wanted if role in self._settings}
-        return {name: choose(role, wanted[role], of) for role, (name, of) in settable.items()}
+    def _texts_by_widget(self, exposure: Exposure) -> dict[str, str]:
+        """Return the camera's text of each setting that a computer can set, by widget.
+
+        Raises DeviceError if no choice of a widget is within 1/6 EV.
+        """
+        f_number, iso, shutter_s = exposure.f_number, exposure.iso, exposure.shutter_s
+        planned = {"aperture": f_number, "iso": iso, "shutter": shutter_s}
+        widgets = self._settings.items()
+        return {name: choose(setting, planned[setting], of) for setting, (name, of) in widgets}
 
     def close(self) -> None:
         """End the child process, which releases the camera."""
@@ -149,7 +157,7 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
 
 
 class Child:
-    """A child process that runs one command at a time, until a hang or a crash ends it.
+    """A child process that executes one command at a time; it is killed if it does not answer.
 
     name : for errors; serve : function that the child runs: it receives (command, arguments) and
     answers ("ok", result) or ("error", exception).
@@ -165,18 +173,18 @@ class Child:
         theirs.close()
 
     def ask(self, command: str, *arguments: Any, timeout_s: float) -> Any:
-        """Send a command to the child and return its answer, or raise the error that it answers.
+        """Send a command with its arguments to the child, and return the result that it answers.
 
-        Raises DeviceError if the child dies, or does not answer within `timeout_s` (it is then
-        killed).
+        Raises the error that it answers, and DeviceError if the child ends, or does not answer
+        within `timeout_s` and is killed.
         """
         try:
             self._pipe.send((command, arguments))
             answer: Any = self._pipe.recv() if self._pipe.poll(timeout_s) else None
         except (EOFError, OSError):
             code = self._end(5.0)  # the process is ending, so wait for its exit code
-            why = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-            why = f"the driver crashed in '{command}' ({why}); check cable and battery"
+            cause = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+            why = f"the driver crashed in '{command}' ({cause}); check cable and battery"
             raise DeviceError(f"{self._name}: {why}") from None
         if answer is None:
             self._end(0.1)
@@ -188,7 +196,10 @@ class Child:
         return result
 
     def _end(self, grace_s: float) -> int:
-        """Kill the process if it still runs after `grace_s`; return its exit code."""
+        """Kill the process if it still runs after `grace_s`, and return its exit code.
+
+        The code is minus the number of the signal that ended it.
+        """
         self._process.join(grace_s)
         self._process.kill()
         self._process.join(5.0)
@@ -196,16 +207,17 @@ class Child:
         return self._process.exitcode or 0
 
     def close(self, timeout_s: float = 3.0) -> None:
-        """Tell the child to end, and kill it if it still runs after `timeout_s`."""
+        """Send the command to end to the child, and kill it if it still runs after `timeout_s`."""
         with suppress(OSError):
             self._pipe.send(("close", ()))
         self._end(timeout_s)
 
 
 def serve(pipe: Connection) -> None:
-    """Answer the commands to the camera that come through `pipe`, until `close`.
+    """Execute the commands that come through `pipe`, and answer each, until the command `close`.
 
-    It ends also if the parent closes the pipe or ends.
+    This is what the child process runs. The commands are the methods of `_Driver`. It ends also if
+    the parent closes the pipe or ends.
     """
     driver = _Driver()
     while True:
@@ -226,7 +238,7 @@ def serve(pipe: Connection) -> None:
 
 
 class _Driver:
-    """The commands of the child process; each raises the error of libgphoto2."""
+    """The commands of the child process; each raises gphoto2's GPhoto2Error if the camera fails."""
 
     def __init__(self) -> None:
         import gphoto2
@@ -235,10 +247,10 @@ class _Driver:
         self._camera = self.gp.Camera()
 
     def open(self, model: str) -> dict[str, Any]:
-        """Open the first camera whose name contains `model`; return what it reports.
+        """Open the first camera whose name contains `model`, and return what it reports.
 
-        These are the fields of `CameraInfo`, and settings: (widget, choices) by shutter, aperture,
-        iso, for those that a computer can set.
+        The keys are fields of `CameraInfo`, and settings, as `_settings` returns them. Raises
+        ValueError if no connected camera has such a name.
         """
         gp, self._camera = self.gp, self.gp.Camera()
         if model:
@@ -254,7 +266,7 @@ class _Driver:
             self._camera.set_abilities(abilities[abilities.lookup_model(name)])
             self._camera.set_port_info(ports[ports.lookup_path(port)])
         self._camera.init()
-        clock, asked = self._value("datetimeutc", "datetime"), time.time()
+        camera_unix_s, unix_s = self._value("datetimeutc", "datetime"), time.time()
         return {
             "make": str(self._value("manufacturer")),
             "model": str(self._value("cameramodel") or self._camera.get_abilities().model),
@@ -262,12 +274,15 @@ class _Driver:
             "firmware": str(self._value("deviceversion")),
             "lens": str(self._value("lensname")),
             "battery": str(self._value("batterylevel")),
-            "clock_offset_s": clock - asked if isinstance(clock, int) else None,
+            "clock_offset_s": camera_unix_s - unix_s if isinstance(camera_unix_s, int) else None,
             "settings": self._settings(),
         }
 
     def _value(self, *names: str) -> Any:
-        """Return the first of the camera's values with these names that is not empty; else ""."""
+        """Return the first value of the camera that is not empty, tried by `names`; "" without one.
+
+        names: of widgets of libgphoto2, because brands use different ones.
+        """
         for name in names:
             with suppress(self.gp.GPhoto2Error):
                 if value := self._camera.get_single_config(name).get_value():
@@ -275,21 +290,24 @@ class _Driver:
         return ""
 
     def _settings(self) -> dict[str, tuple[str, list[str]]]:
-        """Return the widget and its choices by role, for those that a computer can set."""
+        """Return the name and the choices of the widget of each setting that a computer can set.
+
+        They are by setting: shutter, aperture, iso. A camera has no widget of the other brands.
+        """
         settings: dict[str, tuple[str, list[str]]] = {}
-        for role, names in _WIDGETS.items():
-            for name in reversed(names):
+        for setting, names in _WIDGETS.items():
+            for name in reversed(names):  # so that the first name has the last word
                 with suppress(self.gp.GPhoto2Error):
                     widget = self._camera.get_single_config(name)
                     if not widget.get_readonly():
-                        settings[role] = (name, list(widget.get_choices()))
+                        settings[setting] = (name, list(widget.get_choices()))
         return settings
 
     def set(self, name: str, text: str) -> str:
-        """Set a widget to one of its own choices, and return the value that it then has.
+        """Set the widget `name` to one of its own choices, and return the value that it then has.
 
-        A text that is not among the choices is never sent to libgphoto2, because it silently
-        replaces some such texts and crashes on others.
+        Raises ValueError for a text that is not among the choices. It is never sent to libgphoto2,
+        because that silently replaces some such texts and crashes on others.
         """
         widget = self._camera.get_single_config(name)
         if text not in list(widget.get_choices()):
@@ -305,7 +323,7 @@ class _Driver:
         From a pair of raw and JPEG only the raw file is copied.
         """
         gp, camera = self.gp, self._camera
-        for _ in range(50):  # discard events of earlier pictures
+        for _ in range(50):  # discard events of earlier pictures; a camera has fewer
             if camera.wait_for_event(1)[0] == gp.GP_EVENT_TIMEOUT:
                 break
         first = self._while_busy(lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
@@ -315,10 +333,11 @@ class _Driver:
             if kind == gp.GP_EVENT_FILE_ADDED and (data.folder, data.name) not in files:
                 files.append((data.folder, data.name))
             kind, data = camera.wait_for_event(_LATE_MS)
-        folder, name = min(files, key=lambda f: Path(f[1]).suffix.lower() not in RAW_SUFFIXES)
-        shot = camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
-        # `shot` must exist until this copy is complete
-        body = bytes(memoryview(shot.get_data_and_size()))
+        raw_files = [file for file in files if Path(file[1]).suffix.lower() in RAW_SUFFIXES]
+        folder, name = (raw_files or files)[0]
+        camera_file = camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
+        # `camera_file` must exist until this copy is complete
+        body = bytes(memoryview(camera_file.get_data_and_size()))
         path = Path(f"{target}{Path(name).suffix.lower()}")
         store_frame(path, body)
         if delete:
@@ -326,9 +345,9 @@ class _Driver:
                 camera.file_delete(folder, name)
         return str(path)
 
-    def _while_busy(self, work: Callable[[], Any]) -> Any:
-        """Call `work`; call it again while the camera is busy (GP_ERROR_CAMERA_BUSY)."""
-        return retry(work, lambda error: getattr(error, "code", 0) == -110, 0.5)
+    def _while_busy(self, action: Callable[[], Any]) -> Any:
+        """Return the result of `action`; call it again after 0.5 s while the camera is busy."""
+        return retry(action, lambda error: getattr(error, "code", 0) == _BUSY, 0.5)
 
     def close(self) -> None:
         """Release the camera."""

@@ -31,8 +31,8 @@ from fieldlum.session import Session
 # ----------------------------------------------------------------------------------------------
 # register profiles
 
-Kind = Literal["u16", "s16", "u32", "s32", "f32", "date", "text"]
-_CODES = {"u16": ">H", "s16": ">h", "u32": ">I", "s32": ">i", "f32": ">f", "date": ">I"}
+ValueType = Literal["u16", "s16", "u32", "s32", "f32", "date", "text"]
+_STRUCT_FORMATS = {"u16": ">H", "s16": ">h", "u32": ">I", "s32": ">i", "f32": ">f", "date": ">I"}
 # An irradiance outside these limits means a misread register [W/m2]. Chosen beyond any sun, cloud
 # edge and night offset; not measured.
 MIN_WM2 = -200.0
@@ -42,9 +42,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Line(SerialLine):
-    """Factory settings of a Modbus line.
+    """Factory settings of a Modbus line: those of a serial line, and the address `unit`.
 
-    unit : the instrument's address; 0: there is no default, so that the user must state it.
+    unit : address of the instrument; 0 if it has no default, so that the user must state it.
     """
 
     baud: int = 19200
@@ -54,7 +54,10 @@ class Line(SerialLine):
 
 @dataclass(frozen=True, slots=True)
 class RegisterBlock:
-    """A block of Modbus registers that are read by one request, and therefore at one moment."""
+    """A block of Modbus registers that are read by one request, and therefore at one moment.
+
+    start : number of the first register; count : how many registers.
+    """
 
     start: int
     count: int
@@ -67,16 +70,17 @@ class RegisterBlock:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One value of a register profile: its name, first register, type and scale (a factor).
+    """One value of a register profile, such as irradiance_wm2 or the serial number.
 
-    power10_register : the number is divided by ten to the power in that register (Kipp & Zonen);
-    words : number of registers of a text; allow : values of a status word without a fault; another
-    value makes the sample suspect (empty: no check).
+    register : number of its first register; scale : factor from the number to the unit of the name;
+    power10_register : register of a power of ten by which the number is divided (Kipp & Zonen);
+    words : number of registers of a text; allow : values of a status word that mean no fault; empty
+    if it is not checked.
     """
 
     name: str
     register: int
-    type: Kind = "u16"
+    type: ValueType = "u16"
     scale: float = 1.0
     power10_register: int | None = None
     words: int = 0
@@ -85,23 +89,25 @@ class Entry:
     @property
     def own_registers(self) -> range:
         """Numbers of the registers of the value itself."""
-        count = self.words if self.type == "text" else struct.calcsize(_CODES[self.type]) // 2
+        is_text = self.type == "text"
+        count = self.words if is_text else struct.calcsize(_STRUCT_FORMATS[self.type]) // 2
         return range(self.register, self.register + count)
 
     @property
     def registers(self) -> set[int]:
-        """Numbers of all registers that the value needs."""
-        scale = set() if self.power10_register is None else {self.power10_register}
-        return scale.union(self.own_registers)
+        """Numbers of all registers that the value needs, with that of its power of ten."""
+        more = () if self.power10_register is None else (self.power10_register,)
+        return {*self.own_registers, *more}
 
 
 @dataclass(frozen=True, slots=True)
 class RegisterProfile:
     """Description of the registers of a kind of instrument: calibration/instruments/KIND.toml.
 
-    poll : blocks of each reading; at_open : more blocks, read once; function : read holding (3) or
-    input (4) registers, no other function is ever sent; largest_request : number of registers; note
-    : about the unit number, for an error. 32-bit values have their high word first.
+    source : document that the registers are from; poll : blocks that are read for each reading;
+    at_open : more blocks, which are read once; entry : the values in the blocks; function : Modbus
+    function that reads holding (3) or input (4) registers; largest_request : most registers of one
+    request; note : about the unit number, for an error. 32-bit values have their high word first.
     """
 
     kind: str
@@ -121,8 +127,8 @@ class RegisterProfile:
 class Decoded:
     """The decoded content of some registers.
 
-    values : numbers by name of the entry; texts : all entries as text; status : the status words
-    that report a fault, as NAME=NUMBER, or "".
+    values : numbers by name of the entry, in the unit of that name; texts : all entries as text, by
+    name; status : the status words that report a fault, as NAME=NUMBER, or "".
     """
 
     values: dict[str, float]
@@ -131,11 +137,11 @@ class Decoded:
 
 
 def read_profile(cls: type[T], name: str, folder: Path, what: str, option: str) -> tuple[T, Path]:
-    """Return the profile of an instrument and its file: a shipped one by name, others by path.
+    """Return the profile of an instrument as a record `cls`, and the path of its file.
 
-    A path ends in .toml. cls: the record of the profile; folder: of the shipped profiles; what,
-    option: the kind of profile and the URI's option, for the DeviceError of an unknown name or a
-    missing file. Raises InputError for a broken profile.
+    name: of a shipped profile in `folder`, or a path that ends in .toml. what, option: kind of the
+    profile and option of the URI, for errors. Raises DeviceError for an unknown name or a missing
+    file, InputError for a file that does not fit the record.
     """
     path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
     if not path.is_file():
@@ -147,10 +153,11 @@ def read_profile(cls: type[T], name: str, folder: Path, what: str, option: str) 
 
 
 def load_register_profile(kind: str) -> RegisterProfile:
-    """Read a profile of registers: a shipped one by kind, any other by path.
+    """Return the register profile of a kind of instrument: a shipped one, or that of a path.
 
-    A path ends in .toml. Raises InputError for a broken profile, DeviceError for an unknown kind or
-    a missing file.
+    A path ends in .toml. Raises DeviceError for an unknown kind or a missing file; InputError for a
+    profile with an impossible block, without irradiance, or with an entry outside the blocks that
+    are read for it.
     """
     folder = shipped("calibration") / "instruments"
     profile, path = read_profile(RegisterProfile, kind, folder, "instrument", "kind=")
@@ -160,10 +167,11 @@ def load_register_profile(kind: str) -> RegisterProfile:
             found = f"a block of {block.count} registers from register {block.start}"
             expected = f"1 to {maximum} registers in a request, from 0 to 65535"
             raise InputError(path, found, expected, "correct the block, or split it into two")
-    polled = {r for block in profile.poll for r in block.numbers}
-    read = polled.union(*(block.numbers for block in profile.at_open))
+    polled = {register for block in profile.poll for register in block.numbers}
+    polled_or_at_open = polled.union(*(block.numbers for block in profile.at_open))
     for entry in profile.entry:
-        if not entry.registers <= (polled if entry.name == "irradiance_wm2" else read):
+        is_irradiance = entry.name == "irradiance_wm2"
+        if not entry.registers <= (polled if is_irradiance else polled_or_at_open):
             found = f"registers of entry '{entry.name}' that are in no [[poll]] block"
             raise InputError(path, found, "all of them in such a block", "add them to a block")
     if all(entry.name != "irradiance_wm2" for entry in profile.entry):
@@ -172,13 +180,14 @@ def load_register_profile(kind: str) -> RegisterProfile:
     return profile
 
 
-def raw_value(kind: str, words: Sequence[int]) -> float:
-    """Return the number in registers, without its scale or unit.
+def raw_value(value_type: str, words: Sequence[int]) -> float:
+    """Return the number in some registers, before its scale is applied.
 
-    kind : u16, s16, u32, s32, f32 or date; words : 16-bit registers with the high word first, as
-    many as the kind has.
+    value_type : u16, s16, u32, s32, f32 or date; words : content of one or two 16-bit registers, as
+    many as the type has, with the high word first.
     """
-    return float(struct.unpack(_CODES[kind], struct.pack(f">{len(words)}H", *words))[0])
+    packed = struct.pack(f">{len(words)}H", *words)
+    return float(struct.unpack(_STRUCT_FORMATS[value_type], packed)[0])
 
 
 def date_text(number: float) -> str:
@@ -190,19 +199,20 @@ def date_text(number: float) -> str:
 
 
 def decode(profile: RegisterProfile, registers: Mapping[int, int]) -> Decoded:
-    """Return the profile's entries whose registers are in `registers` (content by number), decoded.
+    """Return the values of the profile's entries that are in some registers; others are omitted.
 
-    A value that is not finite is omitted. Raises DeviceError for an irradiance that is not finite
-    or outside -200 to 4000 W/m2, and for a power of ten outside -1 to 2.
+    registers: content of each register, by its number. A value that is not finite is omitted too.
+    Raises DeviceError for an irradiance that is not finite or outside -200 to 4000 W/m2, and for a
+    power of ten outside -1 to 2.
     """
     values: dict[str, float] = {}
     texts: dict[str, str] = {}
     faults: list[str] = []
-    who = f"{profile.maker} {profile.kind}"
+    instrument = f"{profile.maker} {profile.kind}"
     for entry in profile.entry:
         if not entry.registers <= registers.keys():
             continue
-        words = [registers[r] for r in entry.own_registers]
+        words = [registers[number] for number in entry.own_registers]
         if entry.type == "text":
             text = struct.pack(f">{len(words)}H", *words).decode("ascii", "ignore")
             texts[entry.name] = "".join(filter(str.isprintable, text)).strip()
@@ -217,12 +227,12 @@ def decode(profile: RegisterProfile, registers: Mapping[int, int]) -> Decoded:
             power = raw_value("s16", [registers[entry.power10_register]])
             if not -1 <= power <= 2:
                 found = f"a scale factor of 10^{power:g}; expected 10^-1 to 10^2"
-                raise DeviceError(f"{who}: {found}; check the kind in the URI")
+                raise DeviceError(f"{instrument}: {found}; check the kind in the URI")
             number /= 10.0**power
         number *= entry.scale
         if entry.name == "irradiance_wm2" and not MIN_WM2 <= number <= MAX_WM2:
             found = f"{number:g} W/m2; expected {MIN_WM2:g} to {MAX_WM2:g} W/m2"
-            raise DeviceError(f"{who}: {found}; check the kind in the URI")
+            raise DeviceError(f"{instrument}: {found}; check the kind in the URI")
         if math.isfinite(number):
             values[entry.name], texts[entry.name] = number, f"{number:.10g}"
     return Decoded(values, texts, " ".join(faults))
@@ -231,7 +241,7 @@ def decode(profile: RegisterProfile, registers: Mapping[int, int]) -> Decoded:
 # ----------------------------------------------------------------------------------------------
 # the driver
 
-_Unit = Annotated[int, Meta(ge=1, le=247)]
+_Unit = Annotated[int, Meta(ge=1, le=247)]  # addresses of devices on a Modbus line (its standard)
 
 
 class _Options(Struct):
@@ -246,67 +256,78 @@ class _Options(Struct):
 
 
 class ModbusPyranometer(Pyranometer):
-    """One instrument, or several of one kind, on one bus.
+    """One instrument, or several of one kind that measure different quantities, on one bus.
 
-    bus : pymodbus's client and its name; units : addresses by what is measured: ghi, dhi, dni.
-    Models, serial numbers, firmware and sensitivities of several instruments are joined by " + ";
-    the calibration date is the oldest. Raises DeviceError if an instrument does not answer or its
-    answer is damaged or impossible.
+    bus : pymodbus's client, and the name of its port or host; units : the address of the instrument
+    that measures ghi, dhi or dni, by quantity. Raises DeviceError if an instrument does not answer
+    or its answer is damaged or impossible.
     """
 
     def __init__(
         self, bus: tuple[Any, str], profile: RegisterProfile, units: Mapping[str, int], clock: Clock
     ) -> None:
-        """Ask each unit what it is; bus: the connection and its name; units: number by quantity."""
+        """Ask each instrument for its description.
+
+        In `info`, models, serial numbers, firmware and sensitivities of several instruments are
+        joined by " + "; the calibration date is the oldest.
+        """
         self._profile, self._units, self._clock = profile, units, clock
         self._client, self.name = bus
         blocks = profile.at_open + profile.poll
         with closed_on_error(self):
-            about = [self._ask(unit, blocks)[0] for unit in units.values()]
+            answers = [self._ask(unit, blocks)[0] for unit in units.values()]
 
         def texts(name: str) -> list[str]:
-            return [text for d in about if (text := d.texts.get(name))]
+            return [text for answer in answers if (text := answer.texts.get(name))]
 
         names = ("model", "serial", "firmware", "sensitivity")
-        what: dict[str, Any] = {name: " + ".join(texts(name)) for name in names}
-        what["model"] = what["model"] or f"{profile.maker} {profile.models[0]}"
-        what["calibration_date"] = min(texts("calibration_date"), default="")
-        what["status"] = " ".join(d.status for d in about if d.status)
-        self.info = InstrumentInfo(profile.kind, **what, port=self.name, gives=tuple(units))
+        about: dict[str, Any] = {name: " + ".join(texts(name)) for name in names}
+        about["model"] = about["model"] or f"{profile.maker} {profile.models[0]}"
+        about["calibration_date"] = min(texts("calibration_date"), default="")
+        about["status"] = " ".join(answer.status for answer in answers if answer.status)
+        self.info = InstrumentInfo(profile.kind, **about, port=self.name, gives=tuple(units))
 
     def read(self) -> IrradianceSample:
-        """Read all units, one after the other, and return one reading, with the time of the first.
+        """Read all instruments, one after the other, and return one reading with the first's time.
 
-        The temperature is that of the first unit that reports one. Raises DeviceError if a unit
-        does not answer, or if its answer is damaged or impossible.
+        The temperature is that of the first instrument that reports one; `status` has the faults by
+        quantity, and `raw` the polled registers. Raises DeviceError if an instrument does not
+        answer, or if its answer is damaged or impossible.
         """
-        t_utc = self._clock.now()
-        answers = {what: self._ask(unit, self._profile.poll) for what, unit in self._units.items()}
-        warm = (d.values.get("temperature_c") for d, _ in answers.values())
-        return IrradianceSample(
-            t_utc=t_utc,
-            **{f"{what}_wm2": d.values["irradiance_wm2"] for what, (d, _) in answers.items()},
-            temperature_c=next((t for t in warm if t is not None), None),
-            status="; ".join(f"{what}: {d.status}" for what, (d, _) in answers.items() if d.status),
-            raw="; ".join(raw for _, raw in answers.values()),
-        )
+        sample = IrradianceSample(self._clock.now())
+        faults: list[str] = []
+        raw: list[str] = []
+        for quantity, unit in self._units.items():
+            answer, words = self._ask(unit, self._profile.poll)
+            raw.append(words)
+            sample = replace(sample, **{f"{quantity}_wm2": answer.values["irradiance_wm2"]})
+            if sample.temperature_c is None:
+                sample = replace(sample, temperature_c=answer.values.get("temperature_c"))
+            if answer.status:
+                faults.append(f"{quantity}: {answer.status}")
+        return replace(sample, status="; ".join(faults), raw="; ".join(raw))
 
     def _ask(self, unit: int, blocks: tuple[RegisterBlock, ...]) -> tuple[Decoded, str]:
-        """Return the register blocks of one unit, decoded, and as hexadecimal words."""
+        """Return the values in some register blocks of one instrument, and its polled registers.
+
+        unit: address of the instrument. The registers are a text of hexadecimal words. Raises
+        DeviceError without a valid answer.
+        """
         registers: dict[int, int] = {}
         for block in blocks:
             registers.update(zip(block.numbers, self._words(unit, block), strict=True))
-        raw = " ".join(f"{registers[r]:04x}" for b in self._profile.poll for r in b.numbers)
-        return decode(self._profile, registers), raw
+        polled = (number for block in self._profile.poll for number in block.numbers)
+        return decode(self._profile, registers), " ".join(f"{registers[n]:04x}" for n in polled)
 
     def _words(self, unit: int, block: RegisterBlock) -> list[int]:
-        """Return the registers of one block. Raises DeviceError.
+        """Return the 16-bit content of each register of a block, read from one instrument.
 
-        unit: number of the device.
+        unit: address of the instrument. Raises DeviceError if it does not answer or rejects the
+        request.
         """
         from pymodbus.exceptions import ModbusException
 
-        whose = f"{self.name}: {self._profile.kind} unit {unit}"
+        instrument = f"{self.name}: {self._profile.kind} unit {unit}"
         name = {3: "read_holding_registers", 4: "read_input_registers"}[self._profile.function]
         try:
             with device_errors(self.name):
@@ -314,9 +335,10 @@ class ModbusPyranometer(Pyranometer):
                 answer = read(block.start, count=block.count, device_id=unit)
         except ModbusException:  # no answer, one with a wrong checksum, or a lost connection
             remedy = "check wiring, power, unit number, baud rate and parity"
-            raise DeviceError(f"{whose} does not answer; {remedy}") from None
+            raise DeviceError(f"{instrument} does not answer; {remedy}") from None
         if answer.isError() or len(answer.registers) != block.count:
-            raise DeviceError(f"{whose} refused or cut the registers ({answer}); check the kind")
+            why = f"refused or cut the registers ({answer}); check the kind"
+            raise DeviceError(f"{instrument} {why}")
         return answer.registers
 
     def close(self) -> None:
@@ -326,9 +348,10 @@ class ModbusPyranometer(Pyranometer):
 
 
 def _connected(place: str, line: SerialLine, timeout_s: float) -> tuple[Any, str]:
-    """Return a client that asks each question once, and the name of its port or host.
+    """Return pymodbus's client of a bus, and the name of the bus: its port, or tcp=HOST:PORT.
 
-    timeout_s: of an answer.
+    place: as in the URI; line: settings of a serial port; timeout_s: longest wait for an answer.
+    The client sends each request once. Raises DeviceError if there is no connection.
     """
     from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
@@ -351,22 +374,23 @@ def _connected(place: str, line: SerialLine, timeout_s: float) -> tuple[Any, str
 def open_pyranometer(
     uri: DeviceUri, clock: Clock, session: Session | None = None
 ) -> ModbusPyranometer:
-    """Open the Modbus pyranometer, or the several of one kind, that a URI names.
+    """Open the Modbus pyranometer, or the several of one kind on its bus, that a URI names.
 
-    session: not used. Raises DeviceError for unknown options or kinds, a missing or repeated unit
-    number, a missing port, or an instrument that does not answer or gives an impossible value;
-    InputError for a broken profile.
+    clock: gives the times of readings; session: not used. Raises DeviceError for unknown options or
+    kinds, a missing or repeated unit number, a missing port, or an instrument that does not answer
+    or gives an impossible value; InputError for a profile that cannot be used.
     """
     options = uri.read(_Options)
     if not uri.place or not options.kind:
         example = "modbus:/dev/ttyUSB0?kind=smp&unit=1"
         raise DeviceError(f"{uri.text}: expected a port and a kind, such as {example}")
     profile = load_register_profile(options.kind)
-    addresses = (options.unit or profile.line.unit, options.dhi_unit, options.dni_unit)
-    units = {what: u for what, u in zip(("ghi", "dhi", "dni"), addresses, strict=True) if u}
-    if "ghi" not in units:
+    ghi_unit = options.unit or profile.line.unit
+    if not ghi_unit:
         why = f"no unit number, and {profile.kind} has no default"
         raise DeviceError(f"{uri.text}: {why}; add it to the URI: {profile.note}")
+    stated_units = {"ghi": ghi_unit, "dhi": options.dhi_unit, "dni": options.dni_unit}
+    units = {quantity: unit for quantity, unit in stated_units.items() if unit}
     if len(set(units.values())) < len(units):
         raise DeviceError(f"{uri.text}: a unit number occurs twice; each unit needs its own")
     stated = {"baud": options.baud, "parity": options.parity, "stop": options.stop}

@@ -21,10 +21,10 @@ from fieldlum.session import Session, exposure_text
 
 
 def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
-    """Return all frames in a folder and its subfolders, in order of camera clock, then path.
+    """Return the path and the EXIF of all frames in a folder and its subfolders.
 
-    Frames without a time are last. Files without an exposure in their EXIF are skipped. Raises
-    DeviceError if no frame remains.
+    They are in order of the camera's clock, then of the path; frames without a time are last. Files
+    without an exposure in their EXIF are skipped. Raises DeviceError if no frame remains.
     """
     paths, frames = [], []
     with suppress(InputError):
@@ -36,23 +36,23 @@ def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
         expected = "expected raw or JPEG files with their exposure in EXIF"
         raise DeviceError(f"replay: no frames in {folder}; {expected}; name another folder")
 
-    def when(frame: tuple[Path, FrameInfo]) -> datetime:
+    def camera_time(frame: tuple[Path, FrameInfo]) -> datetime:
         t_camera = frame[1].t_camera or datetime.max.replace(tzinfo=UTC)
         return t_camera if t_camera.tzinfo else t_camera.replace(tzinfo=UTC)
 
-    return sorted(frames, key=when)
+    return sorted(frames, key=camera_time)
 
 
 class ReplayCamera(Camera):
-    """Copies frames that were taken before.
+    """A camera that returns copies of frames which were taken before.
 
     Raises DeviceError if the folder and its subfolders have no frame.
     """
 
     def __init__(self, folder: Path, clock: Clock) -> None:
         self._clock = clock
-        self._left = frames_of(folder)
-        first = self._left[0][1]
+        self._unused = frames_of(folder)
+        first = self._unused[0][1]
         self.info = CameraInfo("replay", make=first.make, model=first.model)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
@@ -61,15 +61,16 @@ class ReplayCamera(Camera):
         Return the copy, after the shutter time. heading_deg is ignored. Raises DeviceError if no
         such frame is left, OSError if the disk is full.
         """
-        for i, (path, info) in enumerate(self._left):
+        for i, (path, info) in enumerate(self._unused):
+            # EXIF does not state a filter
             is_same = same_exposure(info.exposure, exposure)
             if is_same and info.exposure.nd in ("", exposure.nd):
-                del self._left[i]
+                del self._unused[i]
                 written = target.with_name(f"{target.name}{path.suffix.lower()}")
                 shutil.copyfile(path, written)
                 self._clock.sleep(exposure.shutter_s)
                 return written
-        found = f"no unused frame of {exposure_text(exposure)}, only {len(self._left)} of others"
+        found = f"no unused frame of {exposure_text(exposure)}, only {len(self._unused)} of others"
         raise DeviceError(f"replay: {found}; plan what the folder has")
 
 

@@ -43,7 +43,7 @@ _CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[")
 
 
 class FrameMetadata(Struct, frozen=True):
-    """What rpicam-still reports about a frame: shutter time [us] and the factors of two gains."""
+    """What rpicam-still reports about a frame: shutter time [us] and two gains (factors)."""
 
     shutter_us: _Positive = field(name="ExposureTime")
     analogue_gain: _Positive = field(name="AnalogueGain")
@@ -54,20 +54,21 @@ class FrameMetadata(Struct, frozen=True):
         """Shutter time [s]."""
         return self.shutter_us * 1e-6
 
-    def exposure(self, asked: Exposure) -> Exposure:
-        """Return the exposure that the sensor took; aperture and filter are those of `asked`.
+    def exposure(self, planned: Exposure) -> Exposure:
+        """Return the exposure that the sensor took; aperture and filter are those of `planned`.
 
-        The ISO is 100 times the analogue gain, or that of `asked` if the two differ by at most 3 %.
+        The ISO is 100 times the analogue gain, or the planned ISO if that differs by at most 3 %.
         """
         iso = ISO_OF_GAIN_1 * self.analogue_gain
-        is_as_asked = abs(iso / asked.iso - 1.0) <= GAIN_TOLERANCE
-        return replace(asked, shutter_s=self.shutter_s, iso=asked.iso if is_as_asked else iso)
+        is_planned = abs(iso / planned.iso - 1.0) <= GAIN_TOLERANCE
+        return replace(planned, shutter_s=self.shutter_s, iso=planned.iso if is_planned else iso)
 
 
 def parse_metadata(text: str) -> FrameMetadata:
-    """Parse the JSON of rpicam-still about a frame; a missing digital gain is 1.
+    """Return the metadata of a frame in the JSON text that rpicam-still wrote about it.
 
-    Raises DeviceError for any other text, and for numbers that are not above 0 and finite.
+    A missing digital gain is 1. Raises DeviceError for any other text, and for numbers that are not
+    above 0 and finite.
     """
     try:
         return json.decode(text, type=FrameMetadata)
@@ -77,9 +78,9 @@ def parse_metadata(text: str) -> FrameMetadata:
 
 
 def parse_cameras(text: str) -> dict[int, str]:
-    """Return the sensor's name by camera number, from the text that --list-cameras prints.
+    """Return the names of sensors, such as imx477, by camera number; empty without a camera.
 
-    Empty without a camera.
+    text: what `rpicam-still --list-cameras` prints.
     """
     return {int(m[1]): m[2] for m in _CAMERA_LINE.finditer(text)}
 
@@ -87,14 +88,14 @@ def parse_cameras(text: str) -> dict[int, str]:
 class RpicamCamera(Camera):
     """A Raspberry Pi camera, which reports the exposure that it took.
 
-    place : the camera's number, "" for 0; f_number : of the lens. Raises DeviceError if the program
-    is missing or fails, or does not list the camera.
+    Raises DeviceError if the program is missing or fails, or does not list the camera.
     """
 
-    def __init__(self, place: str, f_number: float, *, program: str = PROGRAM) -> None:
-        """Find the camera; place: its number as a text, "" for 0; f_number: of its lens.
+    def __init__(self, place: str, f_number: float, *, program: str) -> None:
+        """Find the camera in the list that the program prints.
 
-        Raises DeviceError for a number that rpicam-still does not list.
+        place: the camera's number as a text, "" for 0; f_number: of its lens; program: name or path
+        of rpicam-still.
         """
         self._program, self._f_number, self._start_s = program, f_number, START_S
         if not (place == "" or place.isdigit()):
@@ -107,19 +108,20 @@ class RpicamCamera(Camera):
             raise DeviceError(f"rpicam: no camera {self._number}; {PROGRAM} names {listed}")
         model = cameras[self._number]
         self.info = CameraInfo("rpicam", make="Raspberry Pi", model=model, clock_offset_s=0.0)
-        self._taken: dict[Path, Exposure] = {}
+        self._taken: dict[Path, Exposure] = {}  # of the newest frame, by its file
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one raw frame and return its file, `target` plus .dng.
 
-        heading_deg must be None. Its shutter time may differ from the requested one: see
+        heading_deg must be None. The frame's shutter time may differ from the planned one: see
         `exposure_taken`. Raises DeviceError for a heading, or if the module or the program fails or
         cannot take this exposure, and OSError if the disk is full.
         """
         self.refuse_turning(heading_deg)
         self.check_offered(exposure)
-        picture, about = (target.with_name(f"{target.name}{end}") for end in (".jpg", ".json"))
-        written = target.with_name(f"{target.name}.dng")
+        # The program writes the raw frame next to the picture that it is requested to write.
+        ends = (".dng", ".jpg", ".json")
+        written, picture, about = (target.with_name(f"{target.name}{end}") for end in ends)
         try:
             timeout_s = self._start_s + DISCARDED_FRAMES * exposure.shutter_s
             arguments = [
@@ -133,7 +135,7 @@ class RpicamCamera(Camera):
             if not about.is_file():
                 raise DeviceError("rpicam: no metadata, so no known exposure; update rpicam-apps")
             metadata = parse_metadata(about.read_text(encoding="utf-8", errors="replace"))
-            _check(metadata, exposure)
+            _check_taken(metadata, exposure)
             size = written.stat().st_size if written.is_file() else 0
             if size < 100_000:  # that of the smallest module has over a million
                 raise DeviceError(f"rpicam: a raw frame of only {size} bytes; check the cable")
@@ -151,7 +153,7 @@ class RpicamCamera(Camera):
         return self._taken.get(written)
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError for an aperture over 2 % from the lens's, or for an ISO below 97."""
+        """Raise DeviceError for an aperture over 2 % from the lens's, and for an ISO below 97."""
         if abs(exposure.f_number / self._f_number - 1.0) > 0.02:
             found = f"f/{exposure.f_number:g} is planned, and the lens has f/{self._f_number:g}"
             remedy = "state f_number=... in the URI, or correct [bracket] of the profile and plan"
@@ -161,10 +163,10 @@ class RpicamCamera(Camera):
             raise DeviceError(f"rpicam: {found}; plan with ISO 100 or more")
 
     def _run(self, arguments: list[str], timeout_s: float) -> str:
-        """Run the program and return what it prints.
+        """Run the program with some arguments, and return what it prints.
 
-        A program that hangs is killed with all processes that it started. Raises DeviceError.
-        timeout_s: after which it counts as hanging.
+        After `timeout_s` it counts as hung, and is killed with all processes that it started.
+        Raises DeviceError if it does not start, hangs or fails, OSError if the disk is full.
         """
         command, pipe = [self._program, *arguments], subprocess.PIPE
         how: dict[str, Any] = {"stdout": pipe, "stderr": subprocess.STDOUT, "errors": "replace"}
@@ -196,14 +198,17 @@ class RpicamCamera(Camera):
         return printed
 
 
-def _check(metadata: FrameMetadata, asked: Exposure) -> None:
-    """Raise DeviceError if the sensor cannot take this exposure; a repetition would not help."""
-    off_ev = abs(math.log2(metadata.shutter_s / asked.shutter_s))
+def _check_taken(metadata: FrameMetadata, planned: Exposure) -> None:
+    """Raise DeviceError if a frame shows that the sensor cannot take the planned exposure.
+
+    A repetition would not help: the shutter time is too long for it, or it lacks the gain.
+    """
+    off_ev = abs(math.log2(metadata.shutter_s / planned.shutter_s))
     if off_ev > SAME_SETTING_EV and metadata.digital_gain > 1.0 + 10 * GAIN_TOLERANCE:
-        found = f"{shutter_text(asked.shutter_s)} s requested, {metadata.shutter_s:.4g} s exposed"
+        found = f"{shutter_text(planned.shutter_s)} s requested, {metadata.shutter_s:.4g} s exposed"
         why = f"{found}, digital gain {metadata.digital_gain:g}: too long for this camera module"
         raise DeviceError(f"rpicam: {why}; remove it from [bracket] in the profile and plan again")
-    gain = asked.iso / ISO_OF_GAIN_1
+    gain = planned.iso / ISO_OF_GAIN_1
     if abs(math.log2(metadata.analogue_gain / gain)) > SAME_SETTING_EV:
         found = f"gain {gain:g} requested, {metadata.analogue_gain:g} used"
         raise DeviceError(f"rpicam: {found}; plan an ISO that this camera module has")
@@ -217,15 +222,15 @@ class _Options(Struct):
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> RpicamCamera:
     """Open the Raspberry Pi camera of a URI ``rpicam:NUMBER?f_number=F``.
 
-    Without f_number the aperture is that of the session's plan; DeviceError if the plan does not
-    have exactly one. Raises DeviceError also for an unknown option or a missing camera, InputError
-    for a broken plan.
+    clock: not used; session: without f_number the aperture is that of its plan. Raises DeviceError
+    if the plan does not have exactly one aperture, for an unknown option, and for a missing camera;
+    InputError for a plan that cannot be read.
     """
     options = uri.read(_Options)
-    slots = session.slots() if session is not None and not options.f_number else []
-    planned = {exposure.f_number for slot in slots for exposure in slot.exposures}
-    planned = {options.f_number} if options.f_number else planned
-    if len(planned) != 1:
+    f_numbers: set[float] = {options.f_number} if options.f_number else set()
+    if session is not None and not f_numbers:
+        f_numbers = {e.f_number for slot in session.slots() for e in slot.exposures}
+    if len(f_numbers) != 1:
         remedy = "state the lens's aperture in the URI, such as rpicam:0?f_number=2.0"
         raise DeviceError(f"rpicam: the plan has no single aperture; {remedy}")
-    return RpicamCamera(uri.place, planned.pop(), program=options.program)
+    return RpicamCamera(uri.place, f_numbers.pop(), program=options.program)

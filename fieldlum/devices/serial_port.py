@@ -16,7 +16,7 @@ except ImportError:  # Windows
 
 @contextmanager
 def device_errors(port: str) -> Iterator[None]:
-    """Turn errors of the serial port `port` in a `with` block into DeviceError with its name."""
+    """Replace errors of a serial port in the `with` block by a DeviceError; port: name for it."""
     try:
         yield
     except (OSError, _TermiosError) as error:
@@ -27,7 +27,7 @@ def device_errors(port: str) -> Iterator[None]:
 
 @contextmanager
 def closed_on_error(device: Device) -> Iterator[None]:
-    """Close a device if the `with` block, in which it is first used, raises DeviceError."""
+    """Close a device if the `with` block, in which its connection is tested, raises DeviceError."""
     try:
         yield
     except DeviceError:
@@ -35,7 +35,7 @@ def closed_on_error(device: Device) -> Iterator[None]:
         raise
 
 
-# The remedies of the faults that pyserial reports in its own words.
+# What to do about the faults that pyserial reports in its own words when it opens a port.
 _REMEDY = (
     "name one of the connected ports, close other programs that use it, and join the port's group "
     "(often dialout)"
@@ -43,11 +43,11 @@ _REMEDY = (
 
 
 def resolve(place: str) -> str:
-    """Return the device file of `place`: the place itself, or the port of ``usb=VID:PID[:SERIAL]``.
+    """Return the device file of a port, such as /dev/ttyUSB0.
 
-    VID and PID have four hexadecimal digits. Of several ports that match, the first is returned.
-    The name of a USB port may change after a replug; its identity does not. Raises DeviceError if
-    no such device is plugged in.
+    place: the file itself, or ``usb=VID:PID`` or ``usb=VID:PID:SERIAL``, the identity of a USB
+    port, which stays after a replug as the file may not. VID and PID have four hexadecimal digits.
+    Of several ports that match, the first is returned. Raises DeviceError if none is plugged in.
     """
     if not place.startswith("usb="):
         return place
@@ -55,17 +55,20 @@ def resolve(place: str) -> str:
 
     wanted = place.removeprefix("usb=").lower()
     usb_ports = [port for port in comports() if port.vid is not None]
-    names = [f"{p.vid:04x}:{p.pid:04x}:{(p.serial_number or '').lower()}" for p in usb_ports]
-    for name, port in zip(names, usb_ports, strict=True):
-        if f"{name}:".startswith(f"{wanted}:"):
+    identities = [f"{p.vid:04x}:{p.pid:04x}:{(p.serial_number or '').lower()}" for p in usb_ports]
+    for identity, port in zip(identities, usb_ports, strict=True):
+        if f"{identity}:".startswith(f"{wanted}:"):
             return port.device
-    ports = ", ".join(name.strip(":") for name in names) or "none"
+    ports = ", ".join(identity.strip(":") for identity in identities) or "none"
     raise DeviceError(f"{place}: not plugged in; plug it in, or name one of these ports: {ports}")
 
 
 @dataclass(frozen=True, slots=True)
 class SerialLine:
-    """Settings of a serial line: baud rate, data bits, parity (none, even, odd) and stop bits."""
+    """Settings of a serial line: baud rate, data bits, parity (N, E, O) and stop bits.
+
+    The parities are none, even and odd.
+    """
 
     baud: int = 9600
     bits: int = 8
@@ -76,12 +79,12 @@ class SerialLine:
 class SerialPort:
     """A serial port with fixed settings, locked against other programs that lock their ports.
 
-    timeout_s : of each read and write; port : pyserial's own object. Raises DeviceError if the port
-    cannot be opened. Its methods, apart from `close`, raise it if the port fails later.
+    name : its device file; port : pyserial's object. Raises DeviceError if the port cannot be
+    opened. Its methods, apart from `close`, raise it if the port fails later.
     """
 
     def __init__(self, place: str, line: SerialLine, *, timeout_s: float) -> None:
-        """Open a port alone; place: what `resolve` resolves. Raises DeviceError, with the ports."""
+        """Open a port; place: as for `resolve`; timeout_s: longest wait of a read or write."""
         import serial
 
         self.name = resolve(place)
@@ -97,7 +100,10 @@ class SerialPort:
             raise DeviceError(f"{error}; connected ports: {ports}; {_REMEDY}") from None
 
     def drain(self) -> bytes:
-        """Return the bytes already received, so that a late reply is not taken for the next one."""
+        """Return the bytes that were already received, without waiting.
+
+        Call it before a command, so that a late reply is not read as the answer to that command.
+        """
         with device_errors(self.name):
             waiting = self.port.in_waiting
             return self.port.read(waiting) if waiting else b""
@@ -108,14 +114,18 @@ class SerialPort:
             self.port.write(data)
 
     def read(self, count: int) -> bytes:
-        """Return up to `count` bytes, fewer after the timeout. Raises DeviceError if it fails."""
+        """Wait for `count` bytes and return them; return fewer after the timeout.
+
+        Raises DeviceError if the port fails.
+        """
         with device_errors(self.name):
             return self.port.read(count)
 
     def read_until(self, end: bytes, limit: int) -> bytes:
-        """Return all bytes up to and including `end`. Raises DeviceError if the port fails.
+        """Wait for the bytes `end`, and return all bytes up to and including them.
 
         After the timeout, or after `limit` bytes, `end` may be missing: the caller must check.
+        Raises DeviceError if the port fails.
         """
         with device_errors(self.name):
             return self.port.read_until(end, limit)

@@ -30,31 +30,32 @@ POLL_S = 0.3
 Reply = dict[str, Any]
 """A JSON object that the camera answered; each value is checked where it is used."""
 _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylight"}
-_OFFERS = ("shutterSpeed", "iso", "aperture")  # with Support: the names of what it offers
+# Names of options of the API; with the end Support: of the values that the camera offers.
+_SETTINGS = ("shutterSpeed", "iso", "aperture")
 
 
 class ThetaCamera(Camera):
-    """A Ricoh Theta.
+    """A Ricoh Theta, which is set to manual exposure and daylight white balance.
 
-    address : such as http://192.168.1.1; delete : whether pictures are deleted after they were
-    copied. Raises DeviceError if the camera does not answer or reports an error.
+    Raises DeviceError if the camera does not answer or reports an error.
     """
 
     def __init__(
         self, address: str, clock: Clock, *, delete: bool = False, timeout_s: float = 10.0
     ) -> None:
-        """Connect to the camera at `address`, and set it to manual exposure.
+        """Connect to the camera at `address`, such as http://192.168.1.1.
 
-        delete: delete pictures on the camera after copying; timeout_s: of an answer.
+        delete: delete pictures on the camera after copying; timeout_s: longest wait for an answer.
         """
         self._address, self._clock = address.rstrip("/"), clock
         self._delete, self._timeout_s = delete, timeout_s
         about, state = self._ask("/osc/info"), self._ask("/osc/state", {}).get("state", {})
         self._set(_MANUAL)
-        offers = [f"{name}Support" for name in _OFFERS]
+        offers = [f"{name}Support" for name in _SETTINGS]
         options = self._options(*offers, "remainingPictures", "dateTimeZone")
-        self._offers = [_numbers(options.get(name)) for name in offers]
-        level, rest = state.get("batteryLevel"), options.get("remainingPictures")
+        # values that the camera offers: shutter times [s], ISO, f-numbers
+        self._offers = [_positive_numbers(options.get(name)) for name in offers]
+        level, frames_left = state.get("batteryLevel"), options.get("remainingPictures")
         self.info = CameraInfo(
             kind="theta",
             make=str(about.get("manufacturer", "")),
@@ -63,31 +64,34 @@ class ThetaCamera(Camera):
             firmware=str(about.get("firmwareVersion", "")),
             battery=f"{100 * level:.0f} %" if isinstance(level, int | float) else "",
             clock_offset_s=self._clock_offset(options.get("dateTimeZone")),
-            frames_left=rest if isinstance(rest, int) else None,
+            frames_left=frames_left if isinstance(frames_left, int) else None,
         )
 
     def _clock_offset(self, text: Any) -> float | None:
-        """Return the offset of a camera's clock from its text, ``2027:03:20 15:30:00+00:00``."""
+        """Return the camera's clock minus the computer's [s]; None if `text` is no time.
+
+        text: the camera's time, such as ``2027:03:20 15:30:00+00:00``.
+        """
         with suppress(ValueError, TypeError):
-            stamp = datetime.strptime(text, "%Y:%m:%d %H:%M:%S%z")
-            return (stamp - self._clock.now()).total_seconds()
+            camera_time = datetime.strptime(text, "%Y:%m:%d %H:%M:%S%z")
+            return (camera_time - self._clock.now()).total_seconds()
         return None
 
     # --------------------------------------------------------------------------------------
     # pictures
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set the exposure, check the setting, take the frame and fetch it; return the file.
+        """Take one frame, copy it to `target` plus the camera's suffix, and return the file.
 
         heading_deg must be None. The EXIF of the frame is not checked. Raises DeviceError for a
         heading, or if the camera fails, does not offer the exposure or shows another setting, and
         OSError if the disk is full.
         """
         self.refuse_turning(heading_deg)
-        wanted = self._chosen(exposure)
-        self._set({**_MANUAL, **wanted})
-        shown = self._options(*wanted)
-        for name, value in wanted.items():
+        settings = self._settings_for(exposure)
+        self._set({**_MANUAL, **settings})
+        shown = self._options(*settings)
+        for name, value in settings.items():
             if abs(float(shown.get(name, 0.0)) - value) > 1e-3 * value:
                 found = f"{name} was set to {value:g}, but the camera shows {shown.get(name)}"
                 raise DeviceError(f"theta: {found}; restart the camera, then capture again")
@@ -96,7 +100,7 @@ class ThetaCamera(Camera):
         urls = [url for url in files if isinstance(url, str) and url]
         if not urls:
             raise DeviceError("theta: the camera names no file for its picture; take it again")
-        parts = urlsplit(urls[0])
+        parts = urlsplit(urls[0])  # a file elsewhere would not be the camera's picture
         if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:
             found = f"the camera names a file at {urls[0]}; expected a file at {self._address}"
             raise DeviceError(f"theta: {found}; check the address in the URI")
@@ -106,35 +110,37 @@ class ThetaCamera(Camera):
             self._command("camera.delete", {"fileUrls": urls}, self._timeout_s)
         return path
 
-    def _chosen(self, exposure: Exposure) -> dict[str, float]:
-        """Return the camera's steps for an exposure.
+    def _settings_for(self, exposure: Exposure) -> dict[str, float]:
+        """Return the values that the camera offers nearest to an exposure, by the API's names.
 
-        Raises DeviceError if a value is more than 1/6 EV from every step.
+        Raises DeviceError if a value of the exposure is more than 1/6 EV from all offered ones.
         """
-        shutters, isos, apertures = self._offers
-        chosen = {
-            "shutterSpeed": nearest(exposure.shutter_s, shutters, "theta shutter", "s"),
+        shutters_s, isos, f_numbers = self._offers
+        settings = {
+            "shutterSpeed": nearest(exposure.shutter_s, shutters_s, "theta shutter", "s"),
             "iso": nearest(exposure.iso, isos, "theta ISO"),
         }
-        if apertures:
-            f_number = nearest(exposure.f_number, apertures, "theta aperture", ev_per_octave=2.0)
-            chosen["aperture"] = f_number
-        return chosen
+        if f_numbers:
+            f_number = nearest(exposure.f_number, f_numbers, "theta aperture", ev_per_double=2.0)
+            settings["aperture"] = f_number
+        return settings
 
     def check_offered(self, exposure: Exposure) -> None:
         """Raise DeviceError for a setting that is over 1/6 EV from every step of the camera.
 
         The aperture is not checked if the camera reports no apertures.
         """
-        self._chosen(exposure)
+        self._settings_for(exposure)
 
     # --------------------------------------------------------------------------------------
     # protocol
 
     def _set(self, options: Mapping[str, object]) -> None:
+        """Set options of the camera, by the API's names."""
         self._command("camera.setOptions", {"options": options}, self._timeout_s)
 
     def _options(self, *names: str) -> Reply:
+        """Return the present values of some options, by the API's names."""
         results = self._command("camera.getOptions", {"optionNames": list(names)}, self._timeout_s)
         answer = results.get("options")
         return answer if isinstance(answer, dict) else {}
@@ -142,8 +148,8 @@ class ThetaCamera(Camera):
     def _command(self, name: str, parameters: Mapping[str, object], patience_s: float) -> Reply:
         """Execute a command, wait until it is complete, and return its results.
 
-        name, parameters: as in Ricoh's THETA Web API; patience_s: how long it may take. Raises
-        DeviceError if the camera reports an error or does not answer.
+        name, parameters: as in Ricoh's THETA Web API; patience_s: longest duration of the command.
+        Raises DeviceError if the camera reports an error or does not answer.
         """
         reply = self._ask("/osc/commands/execute", {"name": name, "parameters": parameters})
         started = self._clock.boottime()
@@ -162,7 +168,11 @@ class ThetaCamera(Camera):
         return results if isinstance(results, dict) else {}
 
     def _ask(self, path: str, body: Mapping[str, object] | None = None) -> Reply:
-        """Return the camera's answer to a GET, or to a POST of a body."""
+        """Return the JSON object that the camera answers.
+
+        path: of the request; body: for a POST, None for a GET. Raises DeviceError for another
+        answer or none.
+        """
         headers = {"Content-Type": "application/json;charset=utf-8", "Accept": "application/json"}
         data = None if body is None else json.encode(body)
         request = urllib.request.Request(self._address + path, data, headers)
@@ -175,7 +185,7 @@ class ThetaCamera(Camera):
             raise DeviceError(f"theta: {found}; {remedy}") from None
 
     def _http(self, request: urllib.request.Request, timeout_s: float) -> bytes:
-        """Return the body of the answer, also that of an HTTP error with a JSON body.
+        """Return the body of the answer to a request; that of an HTTP error too if it is JSON.
 
         Raises DeviceError for every other fault, also for an incomplete body.
         """
@@ -194,7 +204,8 @@ class ThetaCamera(Camera):
         raise DeviceError(f"theta: {request.full_url}: {why}; {remedy}")
 
 
-def _numbers(values: object) -> list[float]:
+def _positive_numbers(values: object) -> list[float]:
+    """Return the numbers above 0 in a list of the camera's answer; empty if it is no list."""
     listed = values if isinstance(values, list) else []
     return [float(v) for v in listed if isinstance(v, int | float) and v is not True and v > 0]
 
@@ -206,8 +217,8 @@ class _Options(Struct):
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ThetaCamera:
     """Open the Theta at the URI's address (default: http://192.168.1.1).
 
-    session: not used. Raises DeviceError for an unknown option, an address that is not http, no
-    answer, or an error that the camera reports.
+    clock: waits for the camera; session: not used. Raises DeviceError for an unknown option, an
+    address that is not http, no answer, or an error that the camera reports.
     """
     options = uri.read(_Options)
     address = uri.place or ADDRESS

@@ -19,10 +19,9 @@ from fieldlum.session import Session
 
 
 class SimulatedSpn1(Pyranometer):
-    """An SPN1 under a simulated sky.
+    """A simulated SPN1, whose answers have the form of the instrument's and are read like those.
 
-    noise_wm2 : standard deviation of its noise [W/m2], drawn by `seed`. Its answers have the form
-    of the instrument's, and are read like those.
+    world : the simulated place; seed : of its noise; noise_wm2 : standard deviation of the noise.
     """
 
     def __init__(self, world: World, clock: Clock, seed: int, noise_wm2: float) -> None:
@@ -32,7 +31,7 @@ class SimulatedSpn1(Pyranometer):
         self.info = InstrumentInfo("spn1", model="Delta-T SPN1", serial=serial, gives=gives)
 
     def read(self) -> IrradianceSample:
-        """Return a reading on which two answers agree; raises as `agreed_sample`."""
+        """Return a reading on which two answers agree; raise DeviceError if none do."""
         return agreed_sample(self._clock.now(), self.answer)
 
     def answer(self) -> bytes:
@@ -40,7 +39,7 @@ class SimulatedSpn1(Pyranometer):
         light = self._world.irradiance(self._clock.now())
         noise = self._rng.normal(0.0, self._noise_wm2, 2)
         total, diffuse = np.maximum(np.array([light.ghi_wm2, light.dhi_wm2]) + noise, 0.0)
-        # SPN1 User Manual, p. 20: sunshine where the beam is over 120 W/m2.
+        # The instrument's rule for a beam over 120 W/m2 (SPN1 User Manual, p. 20).
         sunshine = total > 1.35 * diffuse and total > 24.0
         return b"%6.1f,%6.1f,%d\r" % (total, diffuse, sunshine)
 
@@ -60,17 +59,18 @@ class _PyranometerOptions(Struct):
 
 
 def _check_place(uri: DeviceUri) -> None:
+    """Raise DeviceError unless the place of a URI is office or empty."""
     if uri.place not in ("office", ""):
         found = f"no simulated place '{uri.place}'; expected sim:office"
         raise DeviceError(f"{uri.text}: {found}; correct the URI")
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> Camera:
-    """Open a simulated camera that photographs the panoramas of `open_world`.
+    """Open a simulated camera, which photographs a simulated session or office.
 
-    session : its SITE.toml names the camera profile and the heading, unless the URI has a profile.
-    Raises DeviceError for another place than office or an unknown option, InputError for a bad
-    profile, SITE.toml or truth/ of the session.
+    clock : simulated or real; session : its SITE.toml states the heading, and the camera profile
+    unless the URI does; None for defaults and an office. Raises DeviceError for another place than
+    office or an unknown option, InputError for a bad profile, SITE.toml or truth/ of the session.
     """
     from fieldlum.core.records import CameraSetup
     from fieldlum.devices.simulated.camera import SimulatedCamera
@@ -90,10 +90,10 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
 
 
 def open_pyranometer(uri: DeviceUri, clock: Clock, session: Session | None = None) -> Pyranometer:
-    """Open a simulated SPN1; see `open_world`.
+    """Open a simulated SPN1, which measures the irradiance of a simulated session or office.
 
-    Raises DeviceError for another place than office and for unknown options, InputError for a bad
-    SITE.toml or truth/ of the session.
+    clock : simulated or real; session : None for an office. Raises DeviceError for another place
+    than office and for unknown options, InputError for a bad SITE.toml or truth/ of the session.
     """
     _check_place(uri)
     options = uri.read(_PyranometerOptions)

@@ -26,26 +26,25 @@ from fieldlum.optics.projection import relative_radius
 from fieldlum.optics.raw import channel_positions
 from fieldlum.optics.raw.writing import write_dng, write_jpeg
 from fieldlum.session import exposure_text
-from fieldlum.sky.sky_view.picture import SkyGrid
 
 # ----------------------------------------------------------------------------------------------
 # the sensor: from luminance to counts or codes, with noise and clipping
 
-# Nominal shutter times of cameras, in thirds of a stop.
+# Nominal shutter times of cameras, in thirds of a stop: seconds, and parts of a second.
 _SECONDS = "30 25 20 15 13 10 8 6 5 4 3.2 2.5 2 1.6 1.3 1"
-_FRACTIONS = (
+_PARTS = (
     "1.3 1.6 2 2.5 3 4 5 6 8 10 13 15 20 25 30 40 50 60 80 100 125 160 200 250 320 400 500 640 800 "
     "1000 1250 1600 2000 2500 3200 4000 5000 6400 8000 10000 12800 16000"
 )
-DIAL_S = (*map(float, _SECONDS.split()), *(1.0 / float(text) for text in _FRACTIONS.split()))
+DIAL_S = (*map(float, _SECONDS.split()), *(1.0 / float(part) for part in _PARTS.split()))
 # A Poisson distribution of more electrons is approximated by a normal one, for speed. Chosen.
 _GAUSSIAN_ABOVE_E = 60.0
 
 
 def camera_from_scene(profile: CameraProfile) -> Floats:
-    """Return the matrix from scene R, G, B [cd/m2] to camera channels, [3, 3].
+    """Return the matrix from scene R, G, B to camera channels, both in cd/m2, [3, 3].
 
-    It is the inverse of the profile's colour. With a profile without a matrix, each channel gets
+    It is the inverse of the profile's colour matrix. Without such a matrix, each channel gets
     luminance / sum(y_from_rgb), so that the camera sees grey only.
     """
     colour = profile.colour
@@ -55,34 +54,36 @@ def camera_from_scene(profile: CameraProfile) -> Floats:
 
 
 def camera_channels(scene: Floats32, profile: CameraProfile) -> Floats32:
-    """Return camera channels [h, w, 3] in cd/m2 of a scene.
+    """Return the camera channels of a scene by the profile's colour, in cd/m2, [h, w, 3].
 
-    scene: R, G, B of `simulated.optics.channels` [h, w, 3], or luminance of a grey scene [h, w, 1],
-    cd/m2; the profile's colour converts it.
+    scene: R, G, B on the sensor, [h, w, 3], or luminance of a grey scene, [h, w, 1], in cd/m2.
     """
     matrix = camera_from_scene(profile).astype(np.float32)
     return scene * matrix.sum(axis=1) if scene.shape[-1] == 1 else scene @ matrix.T
 
 
 def mosaic_of(image: Floats32, cfa: str) -> Floats32:
-    """Return each pixel's channel in the Bayer pattern `cfa`: R, G, B [h, w, 3] become [h, w].
+    """Return the one channel that each pixel has under the Bayer pattern `cfa`, [h, w].
 
-    cfa : the letters of a cell of 2 x 2 pixels, row by row, such as RGGB.
+    image: R, G, B of each pixel, [h, w, 3]; cfa : the letters of a cell of 2 x 2 pixels, row by
+    row, such as RGGB.
     """
-    out = np.empty(image.shape[:2], np.float32)
-    for i, letter in enumerate(cfa):
-        row, column = divmod(i, 2)
-        out[row::2, column::2] = image[row::2, column::2, "RGB".index(letter)]
-    return out
+    mosaic = np.empty(image.shape[:2], np.float32)
+    for (row, column), channel in zip(channel_positions(cfa), (0, 1, 1, 2), strict=True):
+        mosaic[row::2, column::2] = image[row::2, column::2, channel]
+    return mosaic
 
 
 @lru_cache(maxsize=4)  # the black level, filter and saturation of a bracket
-def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> Floats32:
-    """Return the values of R, G1, G2, B at their pixels of a mosaic, [h, w], not to be written."""
-    out = np.empty(shape, np.float32)
-    for (row, column), value in zip(channel_positions(cfa), by_colour, strict=True):
-        out[row::2, column::2] = value
-    return out
+def _mosaic_of_values(cfa: str, values: tuple[float, ...], shape: tuple[int, int]) -> Floats32:
+    """Return a mosaic [h, w] with one value for each of R, G1, G2, B, which is cached: read only.
+
+    cfa: as for `mosaic_of`; shape: (height, width).
+    """
+    mosaic = np.empty(shape, np.float32)
+    for (row, column), value in zip(channel_positions(cfa), values, strict=True):
+        mosaic[row::2, column::2] = value
+    return mosaic
 
 
 def raw_counts(
@@ -90,53 +91,56 @@ def raw_counts(
 ) -> NDArray[np.uint16]:
     """Return the raw counts [h, w] of one frame, with shot noise and read noise, clipped.
 
-    mosaic_cdm2 [h, w] : value of each pixel's channel after vignetting [cd/m2]; exposure : with the
-    true shutter time.
+    mosaic_cdm2 : value of each pixel's channel after vignetting [cd/m2], [h, w]; exposure : with
+    the true shutter time; rng : of the noise.
     """
     sensor, shape = profile.sensor, mosaic_cdm2.shape
-    black = _cells(sensor.cfa, sensor.black_dn, shape)
+    black_dn = _mosaic_of_values(sensor.cfa, sensor.black_dn, shape)
     gain = linear_light.gain_e_per_dn(exposure.iso, profile)
-    per = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
+    # linear light z (1 at the white level) per cd/m2
+    z_of_1 = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
     red, green, blue = linear_light.nd_factors(exposure.nd, profile)
-    electrons = (sensor.white_dn - black) * np.float32(per * gain)
+    electrons = (sensor.white_dn - black_dn) * np.float32(z_of_1 * gain)
     electrons *= mosaic_cdm2
-    electrons /= _cells(sensor.cfa, (red, green, green, blue), shape)
+    electrons /= _mosaic_of_values(sensor.cfa, (red, green, green, blue), shape)
+    # far above saturation, so that a sun does not overflow the integers of the noise
     np.minimum(electrons, np.float32(4.0 * gain * sensor.white_dn), out=electrons)
-    normal = electrons > _GAUSSIAN_ABOVE_E
-    spread = np.sqrt(electrons * normal + np.float32(sensor.read_noise_e**2))
-    counted = rng.standard_normal(shape, np.float32)
-    counted *= spread
-    counted += electrons
-    few = np.flatnonzero(~normal & (electrons > 0))
+    is_normal = electrons > _GAUSSIAN_ABOVE_E
+    spread = np.sqrt(electrons * is_normal + np.float32(sensor.read_noise_e**2))
+    counts = rng.standard_normal(shape, np.float32)  # in electrons, then in DN
+    counts *= spread
+    counts += electrons
+    few = np.flatnonzero(~is_normal & (electrons > 0))
     expected = electrons.ravel()[few]
-    counted.ravel()[few] += rng.poisson(expected) - expected
-    counted /= np.float32(gain)
-    counted += black
-    np.rint(counted, out=counted)
-    full = _cells(sensor.cfa, sensor.saturation_dn, shape)
-    return np.clip(counted, 0, full, out=counted).astype(np.uint16)
+    counts.ravel()[few] += rng.poisson(expected) - expected
+    counts /= np.float32(gain)
+    counts += black_dn
+    np.rint(counts, out=counts)
+    saturation_dn = _mosaic_of_values(sensor.cfa, sensor.saturation_dn, shape)
+    return np.clip(counts, 0, saturation_dn, out=counts).astype(np.uint16)
 
 
 def jpeg_codes(
     image_cdm2: Floats32, profile: CameraProfile, exposure: Exposure, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """Return the 8-bit codes [h, w, 3] (R, G, B) of one frame, with noise.
+    """Return the 8-bit codes (R, G, B) of one frame, with noise, [h, w, 3].
 
-    image_cdm2 [h, w, 3] : camera channels after vignetting [cd/m2]; exposure : with the true
-    shutter time.
+    image_cdm2 : camera channels after vignetting [cd/m2], [h, w, 3]; exposure : with the true
+    shutter time; rng : of the noise.
     """
     sensor = profile.sensor
-    per = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
-    full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso
+    z_of_1 = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
+    full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso  # at z = 1
     attenuation = np.asarray(linear_light.nd_factors(exposure.nd, profile), np.float32)
-    z = image_cdm2 * np.float32(per) / attenuation
+    z = image_cdm2 * np.float32(z_of_1) / attenuation  # linear light, 1 at the white level
     spread = np.sqrt(np.maximum(z, 0) / full_e + (sensor.read_noise_e / full_e) ** 2)
     z = z + rng.standard_normal(z.shape, np.float32) * spread
-    out = np.empty(z.shape, np.uint8)
-    for c, table in enumerate(linear_light.response_tables(profile).T):  # [256]
-        codes = np.interp(z[..., c], table + np.arange(256) * 1e-12, np.arange(256.0))
-        out[..., c] = np.rint(codes)
-    return out
+    codes = np.empty(z.shape, np.uint8)
+    for channel, z_of_code in enumerate(linear_light.response_tables(profile).T):  # [256]
+        # equal values of two codes would be no function of z
+        increasing = z_of_code + np.arange(256) * 1e-12
+        codes[..., channel] = np.rint(np.interp(z[..., channel], increasing, np.arange(256.0)))
+    return codes
 
 
 # ----------------------------------------------------------------------------------------------
@@ -144,11 +148,9 @@ def jpeg_codes(
 
 
 class SimulatedCamera(Camera):
-    """A simulated camera.
+    """A simulated camera, which writes raw DNG files, or JPEG files if its profile is of that kind.
 
-    heading_deg : azimuth of its view, clockwise from true north, unless `expose` states another;
-    clock_offset_s : its clock minus the computer's; overhead_s : time of a frame in addition to its
-    shutter time [s] (None: the profile's).
+    Its frames show the scene of `world`, at the time of `clock`.
     """
 
     def __init__(
@@ -162,10 +164,11 @@ class SimulatedCamera(Camera):
         clock_offset_s: float = 0.0,
         overhead_s: float | None = None,
     ) -> None:
-        """Point a camera at `world`.
+        """Point the camera.
 
-        heading_deg: clockwise from north; seed: of the noise; clock_offset_s: of its own clock;
-        overhead_s: time that a frame takes next to its exposure, None for the profile's.
+        heading_deg: azimuth of its view, clockwise from true north, unless `expose` states another;
+        seed: of the noise; clock_offset_s: its clock minus the computer's; overhead_s: time of a
+        frame in addition to its shutter time, None for the profile's.
         """
         self._world, self._profile, self._clock = world, profile, clock
         self._heading_deg, self._seed = heading_deg, seed
@@ -175,7 +178,8 @@ class SimulatedCamera(Camera):
         self._shape, self._is_jpeg = (body.height_px, body.width_px), body.kind == "jpeg"
         about = ("sim", body.make, body.model, f"SIM{seed:04d}")
         self.info = CameraInfo(*about, lens=lens, clock_offset_s=clock_offset_s)
-        self._shading = lru_cache(maxsize=8)(self._shading_of)
+        self._vignetting = lru_cache(maxsize=8)(self._vignetting_at)
+        # the newest image, and the panorama and heading that it is of
         self._last: tuple[Panorama, float, Floats32] | None = None
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
@@ -185,11 +189,12 @@ class SimulatedCamera(Camera):
         plus the shutter time. Raises DeviceError for a setting that the camera does not have, and
         for a time without a picture in the session's truth/.
         """
-        dial_s = self._allowed(exposure)
+        dial_s = self._dial_s(exposure)
         set_to = replace(exposure, shutter_s=dial_s)
         opened = self._clock.now()
         heading = self._heading_deg if heading_deg is None else heading_deg
-        image = self._image(self._world.scene(opened), heading) * self._shading(exposure.f_number)
+        image = self._image(self._world.scene(opened), heading)
+        image = image * self._vignetting(exposure.f_number)
         true_s, _ = linear_light.true_shutter_s(dial_s, self._profile)
         taken = replace(set_to, shutter_s=true_s)
         # Each frame has its own seed, independent of earlier frames, so that a resumed capture
@@ -209,8 +214,8 @@ class SimulatedCamera(Camera):
         self._clock.sleep(self._overhead_s + true_s)
         return path
 
-    def _allowed(self, exposure: Exposure) -> float:
-        """Return the true shutter time of the dial [s].
+    def _dial_s(self, exposure: Exposure) -> float:
+        """Return the nominal shutter time of the camera's dial [s] for a planned exposure.
 
         Raises DeviceError for settings that the camera does not have.
         """
@@ -226,37 +231,34 @@ class SimulatedCamera(Camera):
         return nearest(exposure.shutter_s, DIAL_S, "simulated camera: shutter", "s")
 
     def _image(self, panorama: Panorama, heading_deg: float) -> Floats32:
-        """Return camera channels before vignetting, [h, w] on the mosaic or [h, w, 3].
+        """Return the camera channels of a scene before vignetting [cd/m2].
 
-        The result is stored and used again while the scene does not change. heading_deg: of the
-        camera, clockwise from north.
+        It is a mosaic [h, w] for a raw file, [h, w, 3] for a JPEG; it is computed once for all
+        frames of the same scene. heading_deg: of the camera, clockwise from north.
         """
         if self._last is None or self._last[0] is not panorama or self._last[1] != heading_deg:
             height, width = panorama.luminance_cdm2.shape
             detail = detail_of(panorama)
             grid = None if detail is None else detail.grid
-            views = self._views(heading_deg - panorama.heading_deg, (height, width), grid)
+            turn_deg = heading_deg - panorama.heading_deg
+            lenses = (linear_light.lens_geometry(lens, turn_deg) for lens in self._profile.lens)
+            sampled = (self._shape, (height, width), grid)
+            views = [optics.lens_sampling(lens, *sampled) for lens in lenses]
             image = camera_channels(optics.on_sensor(panorama, views, self._shape), self._profile)
             if not self._is_jpeg:
                 image = mosaic_of(image, self._profile.sensor.cfa)
             self._last = (panorama, heading_deg, image)
         return self._last[2]
 
-    def _views(
-        self, turn_deg: float, panorama: tuple[int, int], grid: SkyGrid | None
-    ) -> list[optics.LensSampling]:
-        lenses = (linear_light.lens_geometry(lens, turn_deg) for lens in self._profile.lens)
-        return [optics.lens_sampling(lens, self._shape, panorama, grid) for lens in lenses]
-
-    def _shading_of(self, f_number: float) -> Floats32:
-        """Return the vignetting on the sensor, [h, w] or [h, w, 1]."""
-        out = np.ones(self._shape, np.float32)
+    def _vignetting_at(self, f_number: float) -> Floats32:
+        """Return the factor that reduces each pixel's light, [h, w], or [h, w, 1] for a JPEG."""
+        factors = np.ones(self._shape, np.float32)
         columns = np.arange(self._shape[1]) + 0.5
         for lens in self._profile.lens:
             curve, _ = linear_light.vignetting_of(lens, f_number)
-            for row, shading in enumerate(out):
-                distance = relative_radius(lens, columns, row + 0.5)
-                inside = distance <= 1.0
-                angle = optics.angle_of_radius(lens, distance[inside])
-                shading[inside] = vignetting_at(curve, angle / lens.half_angle_rad)
-        return out[..., None] if self._is_jpeg else out
+            for row, factors_of_row in enumerate(factors):
+                radius = relative_radius(lens, columns, row + 0.5)
+                inside = radius <= 1.0
+                angle_rad = optics.angle_of_radius(lens, radius[inside])
+                factors_of_row[inside] = vignetting_at(curve, angle_rad / lens.half_angle_rad)
+        return factors[..., None] if self._is_jpeg else factors

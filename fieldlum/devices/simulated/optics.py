@@ -16,7 +16,7 @@ from fieldlum.optics.projection import LensGeometry, angle_of_radius, lens_pixel
 from fieldlum.room.scene.trace import DISC_RAYS, SUN_RADIUS_DEG, disc_rays
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 
-_SUBSAMPLES = 3  # per sensor pixel and axis; chosen, not measured
+_SUBSAMPLES = 3  # directions per sensor pixel and axis; chosen, not measured
 # Standard deviation of the lens's blur. Without a finer part of the panorama it is applied to the
 # sun only, because everything else is smoother. Chosen as that of a good lens; not measured.
 _PSF_PX = 0.5
@@ -24,10 +24,11 @@ _PSF_PX = 0.5
 
 @dataclass(frozen=True, slots=True)
 class LensSampling:
-    """How one lens maps a panorama onto the sensor.
+    """How the sensor pixels of one lens sample a panorama of H x W pixels.
 
-    pixels [n] : flat indices of the lens's sensor pixels; weights [n, H * W + h * w] : share of
-    each pixel of the panorama, then of its finer part, in each sensor pixel, rows sum to 1.
+    geometry : of the lens; pixels [n] : flat indices of its sensor pixels; weights [n, H * W + h *
+    w] : share of each pixel of the panorama, then of its finer picture of h x w pixels if it has
+    one, in each sensor pixel; each row sums to 1.
     """
 
     geometry: LensGeometry
@@ -42,24 +43,25 @@ def lens_sampling(
     panorama: tuple[int, int],
     grid: SkyGrid | None = None,
 ) -> LensSampling:
-    """Compute how a lens samples the panorama; sensor and panorama are (height, width).
+    """Return how a lens samples a panorama: each sensor pixel averages 3 x 3 directions.
 
-    lens : turned by the camera's heading minus that of the panorama; grid : of the panorama's finer
-    part, whose pixels follow those of the panorama. Both are constant over each of their pixels. A
-    sensor pixel averages 3 x 3 directions.
+    lens : turned by the camera's heading minus that of the panorama; sensor, panorama : (height,
+    width) in pixels; grid : directions of the panorama's finer picture, None without one. Panorama
+    and finer picture are constant over each of their pixels.
     """
-    # the picture ends outside the circle, to include its edge
-    (cx, cy), reach = lens.centre_px, lens.radius_px + 1.0
-    top, bottom = max(int(cy - reach), 0), min(int(cy + reach) + 1, sensor[0])
-    left, right = max(int(cx - reach), 0), min(int(cx + reach) + 1, sensor[1])
-    step = max(1, 500_000 // max(1, right - left))  # 300 MB at a time; limits memory only
-    inner = (np.arange(_SUBSAMPLES) + 0.5) / _SUBSAMPLES
+    # the pixels reach beyond the circle, to include its edge
+    (centre_x, centre_y), reach_px = lens.centre_px, lens.radius_px + 1.0
+    top, bottom = max(int(centre_y - reach_px), 0), min(int(centre_y + reach_px) + 1, sensor[0])
+    left, right = max(int(centre_x - reach_px), 0), min(int(centre_x + reach_px) + 1, sensor[1])
+    step = max(1, 500_000 // max(1, right - left))  # rows at a time, 300 MB; limits memory only
+    inner = (np.arange(_SUBSAMPLES) + 0.5) / _SUBSAMPLES  # places in a pixel, of its side
     count = panorama[0] * panorama[1] + (grid.height * grid.width if grid else 0)
     pixels, blocks = [], []
     for first in range(top, bottom, step):
         rows, columns = np.mgrid[first : min(first + step, bottom), left:right]
-        near = np.hypot(columns + 0.5 - cx, rows + 0.5 - cy) < reach
-        rows, columns = rows[near], columns[near]
+        near = np.hypot(columns + 0.5 - centre_x, rows + 0.5 - centre_y) < reach_px
+        rows, columns = rows[near], columns[near]  # [pixels]
+        # [pixels, 3, 3, xyz]
         rays = lens_rays(lens, columns[:, None, None] + inner, rows[:, None, None] + inner[:, None])
         source = _source_pixels(rays.reshape(-1, 3), panorama, grid)
         share = np.full(len(source), 1.0 / _SUBSAMPLES**2, np.float32)
@@ -74,23 +76,25 @@ def lens_sampling(
 def _source_pixels(
     rays: Floats, panorama: tuple[int, int], grid: SkyGrid | None
 ) -> NDArray[np.int32]:
-    """Return the index of the pixel of each ray, in the finer part if that has it, [n].
+    """Return the index of the pixel that each ray meets, [n].
 
-    Rays are in the panorama's own frame (heading 0), [n, 3].
+    It is a flat index of the panorama; within the finer picture a flat index of that, plus the
+    number of pixels of the panorama. rays: unit vectors in the panorama's own frame (heading 0),
+    [n, 3]; panorama: (height, width); grid: directions of the finer picture, None without one.
     """
-    index = _panorama_pixels(rays, panorama)
+    coarse = _panorama_pixels(rays, panorama)
     if grid is None:
-        return index
-    row, column = (np.floor(v) for v in replace(grid, heading_deg=0.0).pixels(rays))
-    fine = (row >= 0) & (row < grid.height) & (column < grid.width)
-    place = panorama[0] * panorama[1] + row * grid.width + column
-    return np.where(fine, place, index).astype(np.int32)
+        return coarse
+    row, column = (np.floor(place) for place in replace(grid, heading_deg=0.0).pixels(rays))
+    is_inside = (row >= 0) & (row < grid.height) & (column < grid.width)
+    fine = panorama[0] * panorama[1] + row * grid.width + column
+    return np.where(is_inside, fine, coarse).astype(np.int32)
 
 
 def _panorama_pixels(rays: Floats, panorama: tuple[int, int]) -> NDArray[np.int32]:
-    """Return the flat index of the panorama pixel of each ray, in the shape of the rays.
+    """Return the flat index of the panorama's pixel that each ray meets, [...].
 
-    Rays are in the panorama's own frame (heading 0).
+    rays: unit vectors in the panorama's own frame (heading 0), [..., 3]; panorama: (height, width).
     """
     height, width = panorama
     angles_deg = projection.altitude_azimuth_deg(rays)
@@ -101,9 +105,10 @@ def _panorama_pixels(rays: Floats, panorama: tuple[int, int]) -> NDArray[np.int3
 
 
 def channels(panorama: Panorama) -> Floats32:
-    """Return R, G, B in cd/m2 with luminance .265 R + .670 G + .065 B, [H * W, 3], row by row.
+    """Return R, G, B of each pixel of a panorama [cd/m2], [H * W, 3], row by row.
 
-    A panorama without colour gives its luminance [H * W, 1].
+    They are Radiance's, with luminance .265 R + .670 G + .065 B. A panorama without colour gives
+    its luminance, [H * W, 1].
     """
     from fieldlum.optics.images import RADIANCE_LM_PER_W
 
@@ -113,22 +118,25 @@ def channels(panorama: Panorama) -> Floats32:
 
 
 def _fine_channels(detail: SkyPicture, flat: Floats32, panorama: Panorama) -> Floats32:
-    """Return the channels of the panorama's finer part, as `channels` does, [h * w, 1 or 3].
+    """Return the channels of a panorama's finer picture [cd/m2], [h * w, 1 or 3].
 
-    flat : channels of the panorama, whose colour its finer part has too.
+    detail : the finer picture, which has luminance only; flat : channels of the panorama, as
+    `channels` returns them, from which each finer pixel has its colour.
     """
-    luminance, shape = panorama.luminance_cdm2.ravel(), panorama.luminance_cdm2.shape
+    height, width = panorama.luminance_cdm2.shape
     rays = replace(detail.grid, heading_deg=0.0).rays().reshape(-1, 3)
-    coarse = _panorama_pixels(rays, (shape[0], shape[1]))
-    share = detail.luminance_cdm2.ravel() / np.maximum(luminance[coarse], 1e-9)
-    return flat[coarse] * np.where(np.isfinite(share), share, 1.0)[:, None].astype(np.float32)
+    coarse = _panorama_pixels(rays, (height, width))
+    luminance = panorama.luminance_cdm2.ravel()[coarse]
+    ratio = detail.luminance_cdm2.ravel() / np.maximum(luminance, 1e-9)
+    return flat[coarse] * np.where(np.isfinite(ratio), ratio, 1.0)[:, None].astype(np.float32)
 
 
 def on_sensor(panorama: Panorama, views: list[LensSampling], sensor: tuple[int, int]) -> Floats32:
-    """Return the mean R, G, B of each sensor pixel [cd/m2], [h, w, 3], or grey [h, w, 1].
+    """Return the mean R, G, B [cd/m2] of the light on each sensor pixel, [h, w, 3]; grey [h, w, 1].
 
     The sun's disc is included; pixels outside the lenses are 0. views : by `lens_sampling`, one for
-    each lens; sensor : (height, width). The lens's blur applies to a panorama with a finer part.
+    each lens; sensor : (height, width). Only a panorama with a finer picture is blurred by the
+    lens.
     """
     flat = channels(panorama)
     detail = detail_of(panorama)
@@ -147,40 +155,45 @@ def on_sensor(panorama: Panorama, views: list[LensSampling], sensor: tuple[int, 
 
 
 def _add_sun(image: Floats32, panorama: Panorama, sun: SunSource, lens: LensGeometry) -> None:
-    """Add the visible part of the sun's disc to the image, with the correct energy.
+    """Add the visible part of the sun's disc to an image of the sensor in place, blurred.
 
-    The sum of luminance times solid angle over its pixels equals its normal illuminance.
+    image: [h, w, 1 or 3] in cd/m2; lens: of one part of the sensor; a sun outside its view adds
+    nothing. The sum of luminance times solid angle over the disc's pixels equals the sun's normal
+    illuminance.
     """
-    at = projection.direction(sun.altitude_deg, sun.azimuth_deg - panorama.heading_deg)
-    x, y, angle = lens_pixels(lens, at)
+    sun_ray = projection.direction(sun.altitude_deg, sun.azimuth_deg - panorama.heading_deg)
+    x, y, angle = lens_pixels(lens, sun_ray)
     if angle >= lens.half_angle_rad:
         return
     reach, fine = 8, 8  # pixels around the disc, 16 sigma of the blur; samples per pixel and axis
     rows, columns = int(y) - reach + np.arange(2 * reach), int(x) - reach + np.arange(2 * reach)
     step = (np.arange(2 * reach * fine) + 0.5) / fine
     rays = lens_rays(lens, (columns[0] + step)[None, :], (rows[0] + step)[:, None])
-    covered = (rays @ at > np.cos(np.radians(SUN_RADIUS_DEG))).astype(float)
-    if DISC_RAYS in panorama.attributes:
-        marks = np.frombuffer(panorama.attributes[DISC_RAYS].encode(), np.uint8) == ord("1")
+    covered = (rays @ sun_ray > np.cos(np.radians(SUN_RADIUS_DEG))).astype(float)
+    if DISC_RAYS in panorama.attributes:  # which rays of the disc an obstruction leaves visible
+        is_visible = np.frombuffer(panorama.attributes[DISC_RAYS].encode(), np.uint8) == ord("1")
         disc = np.flatnonzero(covered)
-        nearest = (rays.reshape(-1, 3)[disc] @ disc_rays(at).T).argmax(axis=1)
-        covered.ravel()[disc] = marks[nearest]
+        nearest = (rays.reshape(-1, 3)[disc] @ disc_rays(sun_ray).T).argmax(axis=1)
+        covered.ravel()[disc] = is_visible[nearest]
     blurred = gaussian_filter(covered, _PSF_PX * fine)
-    share = blurred.reshape(2 * reach, fine, 2 * reach, fine).sum(axis=(1, 3))
-    omega = pixel_solid_angle_sr(lens, columns[None, :] + 0.5, rows[:, None] + 0.5)
-    value = share / share.sum() * sun.normal_illuminance_lx / np.maximum(omega, 1e-12)
+    share = blurred.reshape(2 * reach, fine, 2 * reach, fine).sum(axis=(1, 3))  # of each pixel
+    solid_angle_sr = pixel_solid_angle_sr(lens, columns[None, :] + 0.5, rows[:, None] + 0.5)
+    cdm2 = share / share.sum() * sun.normal_illuminance_lx / np.maximum(solid_angle_sr, 1e-12)
+    # the parts of these rows and columns that are on the sensor
     fits = ((rows >= 0) & (rows < image.shape[0]), (columns >= 0) & (columns < image.shape[1]))
-    value = np.where(omega > 0, value, 0.0)[np.ix_(*fits)]
-    image[np.ix_(rows[fits[0]], columns[fits[1]])] += value[..., None].astype(np.float32)
+    cdm2 = np.where(solid_angle_sr > 0, cdm2, 0.0)[np.ix_(*fits)]
+    image[np.ix_(rows[fits[0]], columns[fits[1]])] += cdm2[..., None].astype(np.float32)
 
 
 def pixel_solid_angle_sr(lens: LensGeometry, x_px: Floats, y_px: Floats) -> Floats:
-    """Return the solid angle of one pixel at points [...], in sr; 0 outside the image circle.
+    """Return the solid angle [sr] of a pixel at some points of the sensor, [...].
 
-    x_px, y_px : column and row; the first pixel's centre is at (0.5, 0.5).
+    x_px, y_px : column and row, [...]; the first pixel's centre is at (0.5, 0.5). The solid angle
+    is 0 outside the image circle.
     """
-    distance = projection.relative_radius(lens, x_px, y_px)
+    radius = projection.relative_radius(lens, x_px, y_px)  # 1 at the edge of the image circle
     step = 1e-4
-    r = np.clip(distance, step, 1.0 - step)
+    r = np.clip(radius, step, 1.0 - step)
+    # The ring has the solid angle 2 pi * ring, and 2 pi r * 2 step * radius_px^2 pixels.
     ring = np.cos(angle_of_radius(lens, r - step)) - np.cos(angle_of_radius(lens, r + step))
-    return np.where(distance <= 1.0, ring / (2 * step * r * lens.radius_px**2), 0.0)
+    return np.where(radius <= 1.0, ring / (2 * step * r * lens.radius_px**2), 0.0)
