@@ -64,7 +64,7 @@ from fieldlum.session.day_files import DayFiles, decode_sample, read_day
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields, frame_from
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.sidecar import Sidecar
-from fieldlum.session.folder import _checked_stems
+from fieldlum.session.folder import _CHECKED_STEMS
 from fieldlum.session.journal import damaged_lines, decode_event, mark_slot
 from fieldlum.session.permits import computer, config_folder, is_permitted, permit, subject
 from fieldlum.session.safe_paths import link_subject, open_inside
@@ -616,7 +616,7 @@ def test_a_link_that_fieldlum_never_opens_does_not_stop_a_capture(tmp_path: Path
 def test_links_are_refused_wherever_the_code_names_a_file_of_a_session() -> None:
     texts = [path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")]
     named = {name for text in texts for name in re.findall(r'\broot / f?"([a-z_]+)', text)}
-    assert {"plan", "export", "watch"} <= named <= _checked_stems()
+    assert {"plan", "export", "watch"} <= named <= _CHECKED_STEMS
 
 
 @pytest.mark.parametrize("name", ["raw/frame.dng", "pairs.csv.sha256", ".capture.lock", ".reserve"])

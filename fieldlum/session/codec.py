@@ -13,7 +13,7 @@ import math
 import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from datetime import UTC, datetime
 from functools import cache
 from io import StringIO
@@ -37,8 +37,8 @@ Utc = Annotated[datetime, msgspec.Meta(tz=True)]
 Seconds = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 """A duration [s] under 32 years, which can be added to a time."""
 
-# What converting a damaged or foreign file can raise.
-_WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
+# What converting the table of a damaged file, or of one from elsewhere, can raise.
+_CONVERSION_ERRORS = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -47,39 +47,42 @@ _WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
 @contextmanager
 def sealed(path: Path) -> Iterator[None]:
-    """Write NAME.sha256 next to the file `path`, which is written within the `with` block.
+    """Write NAME.sha256 next to the file `path`, after the `with` block, which writes that file.
 
-    An interruption leaves a file without checksum file, which is not checked.
+    An earlier checksum file is deleted first, because a file without one is not checked, and an
+    interruption must not leave a wrong one.
     """
-    note = _checksum_file(path)
-    note.unlink(missing_ok=True)
+    checksum_file = _checksum_file(path)
+    checksum_file.unlink(missing_ok=True)
     yield
-    with replacing(note, "w", encoding="utf-8") as file:
+    with replacing(checksum_file, "w", encoding="utf-8") as file:
         file.write(f"{sha256(path)}  {path.name}\n")
 
 
 def change_of(path: Path) -> str:
-    """Return a sentence if a file differs from its checksum file NAME.sha256, and warn with it.
+    """Return a sentence, and warn with it, if a file changed after fieldlum wrote it; else "".
 
-    Return "" for an unchanged file and for one without a checksum file. The warning is a
-    ChangedFileWarning.
+    It did if its SHA-256 is not that of its checksum file NAME.sha256; a file without one counts as
+    unchanged. The warning is a ChangedFileWarning.
     """
-    note = _checksum_file(path)
+    checksum_file = _checksum_file(path)
     try:
-        recorded = read_bytes(note).decode(errors="replace").split()
+        recorded = read_bytes(checksum_file).decode(errors="replace").split()
     except OSError:
         return ""
     if recorded[:1] == [sha256(path)]:
         return ""
     text = (
-        f"{path}: the content changed after fieldlum wrote it; expected the sha256 in {note.name}; "
-        f"if you edited it, delete {note.name}, otherwise write {path.name} again"
+        f"{path}: the content changed after fieldlum wrote it; expected the sha256 in "
+        f"{checksum_file.name}; if you edited it, delete {checksum_file.name}, otherwise write "
+        f"{path.name} again"
     )
     warnings.warn(text, ChangedFileWarning, stacklevel=2)
     return text
 
 
 def _checksum_file(path: Path) -> Path:
+    """Return the path of NAME.sha256, which has the SHA-256 of the file `path`."""
     return path.with_name(f"{path.name}.sha256")
 
 
@@ -88,23 +91,23 @@ def _checksum_file(path: Path) -> Path:
 
 
 def current_note(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> JsonTable | None:
-    """Return a result's note if it states the same inputs and all files exist, else None.
+    """Return the note of a result that need not be computed again, else None.
 
-    note: JSON file that is written after the result, with its inputs under the key `inputs`;
-    without that key all of it is the inputs; inputs: plain values that JSON can store; outputs: the
-    result's files. A damaged note counts as missing, so that the result is computed again. Warns of
-    a file that changed after it was written, with ChangedFileWarning.
+    It need not if the note states the same inputs and all files exist. note: JSON file that is
+    written after the result, with its inputs under the key `inputs`, or as all of its content;
+    inputs: plain values that JSON can store; outputs: the result's files. A damaged note counts as
+    missing. Warns of a file that changed after it was written, with ChangedFileWarning.
     """
-    files = list(outputs)
+    paths = list(outputs)
     try:
         table = json.loads(read_bytes(note))
         recorded = table.get("inputs", table)
     except (OSError, ValueError, AttributeError, RecursionError):
         return None
-    same = recorded == json.loads(json.dumps(inputs))
-    if not same or not all(path.is_file() for path in files):
+    is_same = recorded == json.loads(json.dumps(inputs))
+    if not is_same or not all(path.is_file() for path in paths):
         return None
-    for path in (note, *files):
+    for path in (note, *paths):
         change_of(path)
     return table
 
@@ -116,11 +119,12 @@ def digest(value: object) -> str:
 
 def data_digest(*values: object) -> str:
     """Return the SHA-256 of values in hex; they may be arrays, dataclasses, times or lists."""
-    packed = msgspec.msgpack.encode(values, enc_hook=_packed, order="sorted")
+    packed = msgspec.msgpack.encode(values, enc_hook=_packable, order="sorted")
     return hashlib.sha256(packed).hexdigest()
 
 
-def _packed(value: Any) -> object:
+def _packable(value: Any) -> object:
+    """Return what represents a value of another type: of an array its type, shape and digest."""
     if isinstance(value, np.ndarray):
         data = np.ascontiguousarray(value).reshape(-1).view(np.uint8).data
         return value.dtype.str, value.shape, hashlib.sha256(data).digest()
@@ -160,7 +164,7 @@ class JsonFile(msgspec.Struct, frozen=True):
     def from_table(cls, table: JsonTable, path: Path) -> Self:
         """Build from a JSON object; null counts as absent. path: for the InputError otherwise."""
         check_format(path, table.get("format", 1), cls.FORMAT)
-        with input_errors(path, cls.EXPECTED, cls.REMEDY, *_WRONG):
+        with input_errors(path, cls.EXPECTED, cls.REMEDY, *_CONVERSION_ERRORS):
             stated = cls.upgraded(table, path)
             return convert({k: v for k, v in stated.items() if v is not None}, cls)
 
@@ -216,15 +220,14 @@ def write_object(path: Path, table: Mapping[str, object], *, digest: bool = Fals
 
     digest: write its SHA-256 into NAME.sha256 too.
     """
-    if digest:
-        with sealed(path):
-            return write_object(path, table)
+    seal = sealed(path) if digest else nullcontext()
     # A file name that is not UTF-8 has surrogates; \udcff is also how JSON writes one.
-    with replacing(path, "w", encoding="utf-8", errors="backslashreplace") as file:
+    with seal, replacing(path, "w", encoding="utf-8", errors="backslashreplace") as file:
         json.dump(table, file, indent=1, ensure_ascii=False, default=_plain)
 
 
 def _plain(value: Any) -> Any:
+    """Return a value of a type that JSON does not have: an array as lists, others as text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
@@ -233,9 +236,9 @@ def _plain(value: Any) -> Any:
 
 
 def read_row(kind: type[T], where: str, cells: Mapping[str, str], remedy: str) -> T:
-    """Build a dataclass from the cells of one csv line, by column name.
+    """Return a dataclass of type `kind`, built from the cells of one csv line, by column name.
 
-    Empty cells get the field's default. where: file and line, remedy: what to do, for the
+    An empty cell gets the field's default. where, remedy: file with line, and what to do, for the
     InputError that is raised for a wrong or missing value and for a number that is not finite.
     """
     with input_errors(where, "", remedy, ValueError):
@@ -277,10 +280,10 @@ def read_columns(path: Path, expected: str, remedy: str) -> dict[str, Array]:
 def write_csv(
     path: Path, rows: Iterable[Mapping[str, Any]], columns: Iterable[str] = (), digits: int = 7
 ) -> None:
-    """Write rows as a csv that gets its name when it is complete.
+    """Write rows as a csv, which replaces an earlier file when it is complete.
 
-    None and NaN become empty cells. columns: all of them; empty for the keys of the rows. digits:
-    significant ones of floats.
+    rows: values by column; None and NaN become empty cells. columns: names of all columns; empty
+    for the keys of the rows. digits: significant digits of floats.
     """
     if not (names := list(columns)):
         rows = list(rows)
@@ -305,8 +308,8 @@ def write_csv(
 def write_columns(path: Path, columns: Mapping[str, Any], digits: int = 7) -> None:
     """Write arrays [n] as a csv, with its SHA-256 in NAME.sha256.
 
-    columns: arrays by name; t_utc: Unix times [s], written as ISO texts; digits: significant ones
-    of the numbers.
+    columns: arrays by name; among them t_utc, Unix times [s], which are written as ISO texts.
+    digits: significant digits of floats.
     """
     times = [datetime.fromtimestamp(t, UTC) for t in columns["t_utc"]]
     lists = [np.asarray(values).tolist() for values in {**columns, "t_utc": times}.values()]
@@ -327,10 +330,10 @@ NPZ_ERRORS = (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZ
 
 @contextmanager
 def open_arrays(path: Path, expected: str, remedy: str, newest: int = 1) -> Iterator[NpzFile]:
-    """Yield the arrays of a file that fieldlum wrote, which are read when used, never unpickled.
+    """Yield the arrays of an npz file that fieldlum wrote; each is read when it is used.
 
-    newest: format version. Raises InputError, with the texts `expected` and `remedy`, for a missing
-    file, a newer one, and other content.
+    newest: version of the format that can be read. Nothing is unpickled. Raises InputError, with
+    the texts `expected` and `remedy`, for a missing file, a newer one, and other content.
     """
     errors = input_errors(path, expected, remedy, *NPZ_ERRORS)
     with errors, _stored(path, MAX_PICTURES_BYTES) as stored:
@@ -340,9 +343,9 @@ def open_arrays(path: Path, expected: str, remedy: str, newest: int = 1) -> Iter
 
 @contextmanager
 def _stored(path: Path, more_bytes: int) -> Iterator[NpzFile]:
-    """Yield the arrays of a file.
+    """Yield the arrays of an npz file; raise ValueError if compression hides their size.
 
-    Raises ValueError if they would fill over `more_bytes` more than the file itself.
+    more_bytes: by how much they may be larger than the file itself.
     """
     with open_to_read(path, MAX_ARRAY_BYTES) as file:
         with zipfile.ZipFile(file) as archive:
@@ -356,7 +359,7 @@ def _stored(path: Path, more_bytes: int) -> Iterator[NpzFile]:
 
 
 def read_arrays(path: Path) -> dict[str, Array]:
-    """Return the arrays [...] by name; nothing is unpickled.
+    """Return the arrays of an npz file, of any shape, by name; nothing is unpickled.
 
     Raises one of `NPZ_ERRORS` for a missing or damaged file, for objects, for compressed arrays
     over 16 MiB, and for values that are not finite.

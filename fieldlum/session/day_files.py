@@ -14,25 +14,23 @@ from fieldlum.core.records import IrradianceSample, parse_utc, utc_text
 from fieldlum.session.folder import Session
 from fieldlum.session.safe_paths import open_inside, refuse_link
 
-DAY_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c", "status", "raw", "crc")
+_NUMBERS = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
+DAY_COLUMNS = ("t_utc", *_NUMBERS, "status", "raw", "crc")
 _DAY_HEADER = (",".join(DAY_COLUMNS) + "\n").encode()
 
 
 def encode_sample(sample: IrradianceSample) -> bytes:
-    """Return one row of a day file; its last column is the CRC-32 of the columns before it.
+    """Return one row of a day file, with its line feed.
 
-    A number that is None or not finite becomes an empty cell.
+    Its last column is the CRC-32 of the columns before it. A number that is None or not finite
+    becomes an empty cell.
     """
-    figures = (sample.ghi_wm2, sample.dhi_wm2, sample.dni_wm2, sample.temperature_c)
-    shown = [
-        "" if value is None or not math.isfinite(value) else f"{value:.7g}" for value in figures
-    ]
-    texts = [
-        text.encode("unicode_escape", "backslashreplace").decode()
-        for text in (sample.status, sample.raw)
-    ]
+    numbers = [getattr(sample, name) for name in _NUMBERS]
+    cells = ["" if n is None or not math.isfinite(n) else f"{n:.7g}" for n in numbers]
+    texts = (sample.status, sample.raw)
+    cells += [text.encode("unicode_escape", "backslashreplace").decode() for text in texts]
     row = io.StringIO()
-    csv.writer(row, lineterminator="").writerow([utc_text(sample.t_utc), *shown, *texts])
+    csv.writer(row, lineterminator="").writerow([utc_text(sample.t_utc), *cells])
     body = row.getvalue().encode()
     return body + b",%08x\n" % zlib.crc32(body)
 
@@ -43,9 +41,9 @@ def decode_sample(line: bytes) -> IrradianceSample | None:
     try:
         if not line.endswith(b"\n") or len(crc) != 8 or int(crc, 16) != zlib.crc32(body):
             return None
-        t_utc, *figures, status, raw = next(csv.reader([body.decode()]))
-        names = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
-        values = {n: float(v) if v else None for n, v in zip(names, figures, strict=True)}
+        t_utc, *cells, status, raw = next(csv.reader([body.decode()]))
+        pairs = zip(_NUMBERS, cells, strict=True)
+        values = {name: float(cell) if cell else None for name, cell in pairs}
         return IrradianceSample(parse_utc(t_utc), **values, status=status, raw=raw)
     except (ValueError, StopIteration):
         return None
@@ -54,11 +52,15 @@ def decode_sample(line: bytes) -> IrradianceSample | None:
 class DayFiles:
     """Appends samples to irradiance/YYYY-MM-DD.csv, one file for each UTC day.
 
-    flush: whether each row is on the disk when `append` returns; cut_bytes: size of the incomplete
-    last lines that were moved out of the files when they were opened.
+    cut_bytes: size of the incomplete last lines that were moved out of the files when they were
+    opened.
     """
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
+        """Create the folder irradiance/; flush: whether rows are on the disk after `append`.
+
+        Raises InputError if the folder is a link that the user did not permit.
+        """
         self._root, self._folder, self._flush = session.root, session.irradiance, flush
         self._day, self._handle = "", -1
         self.cut_bytes = 0
@@ -66,7 +68,10 @@ class DayFiles:
         self._folder.mkdir(parents=True, exist_ok=True)
 
     def append(self, sample: IrradianceSample) -> None:
-        """Append a row. Raises OSError on a full disk, after removing a partly written row."""
+        """Append a reading to the file of its UTC day.
+
+        Raises OSError on a full disk, after removing a partly written row.
+        """
         day = sample.t_utc.astimezone(UTC).strftime("%Y-%m-%d")
         if day != self._day or files.is_replaced(self._handle, self._folder / f"{day}.csv"):
             self._open(day)
@@ -76,20 +81,20 @@ class DayFiles:
         """Open the file of a UTC day to append to it; move an incomplete last line away."""
         self.close()
         path = self._folder / f"{day}.csv"
-        spoilt = False
+        is_spoilt = False
         files.break_hard_links(path)
         try:
             self.cut_bytes += files.cut_torn_tail(
                 path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None
             )
-        # Somebody saved the file with a spreadsheet: append to it; readers count its lines as
-        # damaged.
+        # Somebody saved the file with a spreadsheet: append a header and new rows to it; readers
+        # count the lines above as damaged.
         except InputError:
-            spoilt = True
+            is_spoilt = True
         handle = open_inside(self._root, path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
         try:
-            if spoilt or os.fstat(handle).st_size == 0:
-                files.append_complete(handle, b"\n" * spoilt + _DAY_HEADER, flush=self._flush)
+            if is_spoilt or os.fstat(handle).st_size == 0:
+                files.append_complete(handle, b"\n" * is_spoilt + _DAY_HEADER, flush=self._flush)
                 if self._flush:
                     files.sync_folder(self._folder)
         except OSError:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import date, timedelta
-from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal, Required, TypedDict, cast
@@ -27,7 +26,8 @@ from fieldlum.session.safe_paths import is_plain, open_inside, refuse_links
 from fieldlum.session.site_toml import site_from_table, site_table, with_paths_from
 from fieldlum.version import __version__
 
-# the sun moves by 1.3 degrees in this time; chosen, `capture --grace` sets another
+# How late a bracket may start; the sun moves by 1.3 degrees in this time. Chosen; `capture --grace`
+# sets another.
 DEFAULT_GRACE_S = 300.0
 
 
@@ -108,7 +108,10 @@ class SessionTable(TypedDict, total=False):
 
 
 class _Place:
-    """A file or folder of every session, at the same place in it."""
+    """A file or folder of a session; as an attribute of `Session` it is the path.
+
+    parts: names of the folders on the way, and its own, below the session's folder.
+    """
 
     def __init__(self, *parts: str) -> None:
         self._parts, self.top = parts, parts[0]
@@ -118,7 +121,10 @@ class _Place:
 
 
 class _SlotPlace:
-    """A file of each slot of a session; `{}` in its place is the slot's id."""
+    """A file of each slot; as an attribute of `Session` it is a function from slot id to path.
+
+    parts: as for `_Place`, with `{}` for the slot's id.
+    """
 
     def __init__(self, *parts: str) -> None:
         self._parts, self.top = parts, parts[0]
@@ -126,14 +132,14 @@ class _SlotPlace:
     def __get__(self, session: Session, owner: type[Session]) -> Callable[[str], Path]:
         """Return the function that gives a slot's path in a session."""
 
-        def place(slot: str) -> Path:
+        def path_of(slot: str) -> Path:
             if not is_plain(slot):  # from the journal or another file that anybody may have written
                 found, expected = f"the slot name {slot!r}", "a name such as 20270320T153000Z"
                 remedy = "restore the file that names the slot from a copy"
                 raise InputError(session.root, found, expected, remedy)
             return session.root.joinpath(*(part.format(slot) for part in self._parts))
 
-        return place
+        return path_of
 
 
 @dataclass(frozen=True)
@@ -181,10 +187,11 @@ class Session:
         return sorted(path for path in self.raw.glob("[0-9]*Z") if path.is_dir())
 
     def slot_bytes(self) -> float:
-        """Return the space of a slot on the disk [bytes], as the plan states it or larger.
+        """Return the space on the disk to expect for a slot [bytes].
 
-        One of the last five complete brackets may be larger, because the files of a camera may
-        differ much from the profile's estimate. 0.0 if no camera is stated and none is complete.
+        It is that of the plan, or of the largest of the last five complete brackets, because a
+        camera's files may differ much from the profile's estimate. 0 if SITE.toml names no camera
+        profile and no bracket is complete.
         """
         folders = reversed(self.captured_folders())
         latest = islice((f for f in folders if self.capture_file(f.name).is_file()), 5)
@@ -248,26 +255,25 @@ class Session:
         return timedelta(seconds=self.table().get("capture", {}).get("grace_s", DEFAULT_GRACE_S))
 
 
-# Further entries of a session's folder that fieldlum opens, up to the first dot of their names.
-_MORE_STEMS = ("scene", "watch", "export", "compare", "room", "demo")
-
-
-@cache
-def _checked_stems() -> set[str]:
-    """Return the entries of a session's folder in which a link is refused: pairs, session.
-
-    pairs stands for pairs.csv, pairs.csv.sha256 and pairs.alignment.csv.
-    """
-    places = (place for place in vars(Session).values() if isinstance(place, _Place | _SlotPlace))
-    return {place.top.partition(".")[0] for place in places} | set(_MORE_STEMS)
+# Names, up to their first dot, of the entries of a session's folder in which links are rejected:
+# pairs stands for pairs.csv, pairs.csv.sha256 and pairs.alignment.csv. fieldlum opens more than the
+# attributes of a session.
+_CHECKED_STEMS = {
+    place.top.partition(".")[0]
+    for place in vars(Session).values()
+    if isinstance(place, _Place | _SlotPlace)
+} | {"scene", "watch", "export", "compare", "room", "demo"}
 
 
 def _open(path: Path, flags: int) -> int:
-    """Open a file anywhere, but in the checked entries of a session not through a link."""
+    """Return the handle of a file that is opened with `flags` of os.open.
+
+    In the checked entries of a session, a link on the way to the file raises OSError.
+    """
     place = Path(os.path.abspath(path))  # noqa: PTH100  (links remain)
     # The outermost session: a link in it may lead to a folder with another session.toml.
-    for root, top in zip(reversed(place.parents), place.parts[1:], strict=True):
-        if top.partition(".")[0] in _checked_stems() and (root / "session.toml").exists():
+    for root, entry in zip(reversed(place.parents), place.parts[1:], strict=True):
+        if entry.partition(".")[0] in _CHECKED_STEMS and (root / "session.toml").exists():
             return open_inside(root, place, flags)
     return files.open_file(path, flags, follow_links=True)
 
@@ -290,7 +296,7 @@ def open_session(root: Path) -> Session:
             remedy = f"name its folder: {root.parent}"
         raise InputError(root, found, "a session folder", remedy)
     remedy = "correct that place, or restore session.toml from a copy"
-    refuse_links(root, _checked_stems())
+    refuse_links(root, _CHECKED_STEMS)
     with input_errors(session.toml, "TOML with the types that fieldlum writes", remedy, ValueError):
         convert(session.table(), SessionTable, strict=True)
     return session
@@ -299,11 +305,11 @@ def open_session(root: Path) -> Session:
 def create_session(
     root: Path, setup: SiteFile, slots: Iterable[Slot], plan_about: PlanTable
 ) -> Session:
-    """Write plan.csv and session.toml, and return the session.
+    """Write plan.csv and session.toml into a folder, and return it as a session.
 
-    plan_about: the table [plan]. Raises InputError if the folder has a session.toml, or a plan.csv
-    that fieldlum did not write. A plan.csv of fieldlum without session.toml, left by an
-    interruption, is written again.
+    root: the folder; plan_about: the table [plan]. Raises InputError if the folder is a session or
+    inside one, or has a plan.csv that fieldlum did not write. A plan.csv of fieldlum without
+    session.toml, from an interrupted plan, is written again.
     """
     session = Session(root)
     if session.toml.exists():
@@ -312,8 +318,8 @@ def create_session(
     if outer := next((p for p in root.absolute().parents if (p / "session.toml").is_file()), None):
         found, remedy = f"a folder inside the session {outer}", "choose another --out"
         raise InputError(root, found, "a folder outside of other sessions", remedy)
-    head, plan = ",".join(PLAN_COLUMNS).encode(), session.plan
-    if plan.is_file() and not read_bytes(plan).startswith(head):
+    header, plan = ",".join(PLAN_COLUMNS).encode(), session.plan
+    if plan.is_file() and not read_bytes(plan).startswith(header):
         found = "a plan.csv of another program"
         raise InputError(plan, found, "a new folder", "choose another --out")
     write_plan(plan, slots, setup.site.timezone)
@@ -324,7 +330,7 @@ def create_session(
 
 
 def update_session(session: Session, tables: SessionTable) -> None:
-    """Write top-level tables into session.toml; each replaces the table of the same name."""
+    """Write tables into session.toml; each replaces the table of the same name, others remain."""
     import tomli_w
 
     before = session.table() if session.toml.exists() else {}
@@ -343,10 +349,10 @@ _LOCKED = {"capture": "captures or imports into", "log": "logs irradiance into"}
 
 @contextmanager
 def sole_user(session: Session, purpose: Literal["capture", "log"]) -> Iterator[None]:
-    """Let only one process at a time add to a session, in the `with` block.
+    """Hold a lock on a session in the `with` block, so that only one process at a time adds to it.
 
-    purpose: "capture" (captures, also of `import`) or "log" (irradiance). The lock ends with the
-    process, even after a crash. Raises InputError if another process has the lock, OSError if the
+    purpose: "capture" (frames, also those of `import`) or "log" (irradiance). The lock ends with
+    the process, even after a crash. Raises InputError if another process has it, OSError if the
     folder's file system has no locks.
     """
     path = session.root / f".{purpose}.lock"
@@ -354,14 +360,13 @@ def sole_user(session: Session, purpose: Literal["capture", "log"]) -> Iterator[
     try:
         lock.acquire()
     except Timeout:
-        number = 0
+        other = "another fieldlum"
         with suppress(OSError, ValueError):  # on Windows nobody can read a locked file
-            number = int(path.read_text(encoding="utf-8"))
-        other = f"another fieldlum (process {number})" if number else "another fieldlum"
+            other = f"another fieldlum (process {int(path.read_text(encoding='utf-8'))})"
         found, remedy = f"{other} {_LOCKED[purpose]} this session", "stop the other process first"
         raise InputError(session.root, found, "one process at a time", remedy) from None
     try:
-        # if the disk is full
+        # The number is for errors of other processes only; a full disk must not prevent a capture.
         with suppress(OSError), os.fdopen(open_inside(path.parent, path, os.O_WRONLY), "w") as file:
             file.write(f"{os.getpid()}\n")
             file.truncate()

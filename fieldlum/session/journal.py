@@ -28,9 +28,10 @@ class JournalEvent(TypedDict, total=False):
 
     The other keys depend on the kind, and only those that readers use are declared. slot: id; why:
     reason; attempt: of the bracket, from 1; frame: fields of `Frame`; by_s: how late a bracket
-    began [s]; state: of the room, as ``lamp=on``; text: a remark; device: its name; after_s: how
-    long it was away; seconds: length of a sleep, or of a step of the clock; boot_id, boottime_s: of
-    the computer; pid: of the process.
+    began [s]; state: of the room, as ``lamp=on``; text: a remark; device: its name; after_s: time
+    for which it was lost [s]; seconds: length of a sleep, or of a step of the clock; bytes_free: on
+    the disk; pid: of the process; boot_id, boottime_s: identity of the computer's start, and the
+    seconds since.
     """
 
     event: Required[str]
@@ -53,10 +54,10 @@ class JournalEvent(TypedDict, total=False):
 
 
 class Journal:
-    """The session's events; any thread may append. Each line has a CRC.
+    """The file of a session's events, to which any thread may append; each line has a CRC.
 
-    cut_bytes: size of the incomplete last line that opening moved to journal.jsonl.torn. Opening
-    raises InputError if the end of the file has no valid line.
+    cut_bytes: size of the incomplete last line that opening moved to journal.jsonl.torn. Raises
+    InputError if the end of the file has no valid line.
     """
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
@@ -75,6 +76,7 @@ class Journal:
             )
 
     def _open(self) -> int:
+        """Return a handle to append to the file, which is created if it is missing."""
         files.break_hard_links(self._path)
         handle = open_inside(self._root, self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
         if self._flush:
@@ -82,9 +84,10 @@ class Journal:
         return handle
 
     def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
-        """Append an event; with `flush` it is on the disk when this returns.
+        """Append an event of a kind; with `flush` it is on the disk when this returns.
 
-        Raises OSError on a full disk, after removing a partly written line.
+        fields: the other keys of its line, as in `JournalEvent`. Raises OSError on a full disk,
+        after removing a partly written line.
         """
         data = files.encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
         with self._lock, files.exclusive(self._lock_path):
@@ -116,7 +119,7 @@ def damaged_lines(session: Session) -> list[int]:
 
 
 def damage_text(lines: list[int]) -> str:
-    """Return a sentence about the lines of `damaged_lines`; "" if there is none."""
+    """Return a sentence on the damaged lines of a journal, by their numbers; "" for none."""
     if not lines:
         return ""
     return f"journal.jsonl has {counted(len(lines), 'damaged line')} ({listed(lines)})"
@@ -156,30 +159,30 @@ BY_PEOPLE = frozenset({"marked", "note", "paused", "resumed"})
 
 
 def mark_slot(session: Session, slot: str, state: str) -> str:
-    """Append a mark such as ``lamp=on;blind=half`` to the journal; return the slot's full state.
+    """Record a state of the room at a slot, and return its state by all marks of the slot.
 
-    The full state also has the words of earlier marks. This is safe during a capture. Raises
-    InputError for an id that is neither in the plan nor that of a panorama, and for an unknown
-    word.
+    slot: id; state: such as ``lamp=on;blind=half``, which is appended to the journal. This is safe
+    during a capture. Raises InputError for an id that is neither in the plan nor that of a
+    panorama, and for an unknown word.
     """
-    slots = {planned.id for planned in session.slots()}
-    slots |= {path.stem for path in session.panoramas.glob("*.exr")}
-    if slot not in slots:
+    ids = {planned.id for planned in session.slots()}
+    ids |= {path.stem for path in session.panoramas.glob("*.exr")}
+    if slot not in ids:
         found = f"no slot {slot} in this session"
-        expected = f"a slot's id such as {min(slots, default='20270320T153000Z')}"
+        expected = f"a slot's id such as {min(ids, default='20270320T153000Z')}"
         raise InputError(session.root, found, expected, "choose a slot of plan.csv")
     remedy = "name the slot and its state, for example lamp=on"
     with input_errors(session.root, USAGE, remedy, ValueError):
-        result = merged_state(marks(session).get(slot, ""), state)
+        merged = merged_state(marks(session).get(slot, ""), state)
     with closing(Journal(session)) as journal:
         journal.append("marked", datetime.now(UTC), slot=slot, state=state)
-    return result
+    return merged
 
 
 def marks(session: Session) -> dict[str, str]:
-    """Return the room's state, such as ``lamp=on;blind=half``, by slot id, for the marked slots.
+    """Return the room's state at each marked slot, such as ``lamp=on;blind=half``, by slot id.
 
-    A later mark replaces an earlier one with the same word.
+    A later mark replaces an earlier one with the same word, such as lamp.
     """
     states: dict[str, str] = {}
     for event in read_journal(session):

@@ -79,13 +79,13 @@ def read_suns(path: Path) -> dict[str, SunRow]:
 def read_panorama_with_sun(
     path: Path, suns: dict[str, SunRow] | None = None, part: str = ""
 ) -> Panorama:
-    """Read a panorama and add the sun that `pair` computed for it.
+    """Return the panorama in a file, with the sun that `pair` computed for it.
 
     suns: result of `suns_of`, for a caller that reads many pictures of one session; None: read
-    suns.csv from the folder above the picture's. part: of an .exr, as for `read_exr`. A sun that
-    the picture measured is not replaced; without a sun in the picture none is added.
-    `attributes["note"]` reports a sun that remains a lower bound, because every frame is clipped
-    there. Raises InputError for an unusable picture or table.
+    suns.csv from the folder above the picture's. part: of an .exr, as for `read_exr`. The computed
+    sun replaces only one whose illuminance the picture did not measure. If the sun remains a lower
+    bound, because every frame is clipped there, `attributes["note"]` reports it. Raises InputError
+    for a picture or table that cannot be used.
     """
     warn_if_changed(path)
     panorama = read_panorama(path, part)
@@ -109,8 +109,8 @@ def read_panorama_with_sun(
 
 
 def suns_of(panorama: Path) -> dict[str, SunRow]:
-    """Return the rows of suns.csv in the folder above a panorama's folder, by panorama.
+    """Return the rows of the suns.csv of a panorama's session, by panorama.
 
-    Keys and errors: `read_suns`.
+    panorama: a file; suns.csv is in the folder above its folder. Keys and errors: as `read_suns`.
     """
     return read_suns(panorama.absolute().parent.parent / "suns.csv")

@@ -30,8 +30,8 @@ class _PermitsFile(JsonFile, frozen=True):
 class Subject:
     """Something that needs a permission.
 
-    kind: device or link; name: for people; digest: of everything that decides what happens,
-    so that another content asks again.
+    kind: device or link; name: as the user reads it; digest: of everything that decides what
+    happens, so that a change of it needs a new permission.
     """
 
     kind: str
@@ -40,14 +40,15 @@ class Subject:
 
 
 def subject(kind: str, name: str, *parts: str) -> Subject:
-    """Return a subject whose digest covers its kind and `parts`.
+    """Return the subject of a permission, with a digest of its kind and of `parts`.
 
-    kind: what could happen, such as a program that runs; name: as the user reads it.
+    kind: device or link; name: as the user reads it; parts: texts that decide what happens, such as
+    a path and the SHA-256 of a file.
     """
-    total = hashlib.sha256(kind.encode())
+    digest = hashlib.sha256(kind.encode())
     for part in parts:
-        total.update(hashlib.sha256(part.encode("utf-8", "surrogateescape")).digest())
-    return Subject(kind, name, total.hexdigest())
+        digest.update(hashlib.sha256(part.encode("utf-8", "surrogateescape")).digest())
+    return Subject(kind, name, digest.hexdigest())
 
 
 def config_folder() -> Path:
@@ -65,7 +66,7 @@ def config_folder() -> Path:
 
 @cache
 def computer() -> str:
-    """Return an identity of this computer, which does not reveal its machine-id."""
+    """Return a text that identifies this computer, and does not reveal its machine-id."""
     identity = platform.node()
     with suppress(OSError):
         identity = Path("/etc/machine-id").read_text(encoding="ascii").strip() or identity
@@ -80,18 +81,18 @@ def is_permitted(wanted: Subject) -> bool:
 def permit(*wanted: Subject) -> None:
     """Record that the user permits some subjects on this computer. Raises OSError."""
     permitted = _read()
-    mine = permitted.setdefault(computer(), {})
-    new = {w.digest: f"{w.kind} {w.name}" for w in wanted if w.digest not in mine}
+    permitted_here = permitted.setdefault(computer(), {})
+    new = {w.digest: f"{w.kind} {w.name}" for w in wanted if w.digest not in permitted_here}
     if not new:
         return
-    mine |= new
+    permitted_here |= new
     folder = config_folder()
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     _PermitsFile(permitted).write(folder)
 
 
 def _read() -> dict[str, dict[str, str]]:
-    """Return the content of permitted.json; empty if it is unreadable."""
+    """Return the permitted subjects by computer and digest; empty if none can be read."""
     with suppress(InputError, OSError):
         return _PermitsFile.read(config_folder()).permitted
     return {}

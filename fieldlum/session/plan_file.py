@@ -15,10 +15,10 @@ PLAN_COLUMNS = ("slot", "t_utc", "t_local", *_ANGLES, "exposures", "tags")
 
 
 def exposure_text(exposure: Exposure) -> str:
-    """Return ``1/250 f/5.6 ISO100`` with an optional `` ND=name``; see `parse_exposure`."""
-    shown = shutter_text(exposure.shutter_s)
+    """Return an exposure as a text: ``1/250 f/5.6 ISO100``, and `` ND=name`` for a filter."""
     filtered = f" ND={exposure.nd}" if exposure.nd else ""
-    return f"{shown} f/{exposure.f_number:g} ISO{exposure.iso:g}{filtered}"
+    shutter = shutter_text(exposure.shutter_s)
+    return f"{shutter} f/{exposure.f_number:g} ISO{exposure.iso:g}{filtered}"
 
 
 def parse_exposure(text: str) -> Exposure:
@@ -26,9 +26,10 @@ def parse_exposure(text: str) -> Exposure:
 
     Raises ValueError for any other text, and for numbers that are not above 0 and finite.
     """
-    shutter, f_number, iso, nd = [*text.split(), "ND="][:4]
-    starts = zip((f_number, iso, nd), ("f/", "ISO", "ND="), strict=True)
-    if len(text.split()) > 4 or not all(part.startswith(mark) for part, mark in starts):
+    words = text.split()
+    shutter, f_number, iso, nd = [*words, "ND="][:4]
+    marks = zip((f_number, iso, nd), ("f/", "ISO", "ND="), strict=True)
+    if len(words) > 4 or not all(word.startswith(mark) for word, mark in marks):
         raise ValueError(text)
     seconds = float(shutter.removeprefix("1/"))
     if shutter.startswith("1/") and seconds:
@@ -38,7 +39,7 @@ def parse_exposure(text: str) -> Exposure:
 
 
 def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
-    """Write the slots as plan.csv; the column of local times only serves readers of the file.
+    """Write slots as a plan.csv, with their local times for people who read the file.
 
     timezone: IANA name of the zone of the local times.
     """
@@ -73,9 +74,9 @@ def read_plan(path: Path) -> list[Slot]:
 
 
 def _slot(cells: Mapping[str, str]) -> Slot:
-    """Return the slot of a line; cells: by column.
+    """Return the slot in a line of a plan.csv; cells: texts by column.
 
-    Raises ValueError for a wrong cell, and for a slot whose name is of another time.
+    Raises ValueError for a cell that cannot be read, and for a slot whose id is of another time.
     """
     altitude_deg, azimuth_deg = float(cells["sun_altitude_deg"]), float(cells["sun_azimuth_deg"])
     exposures = tuple(parse_exposure(t) for t in cells["exposures"].split(";") if t.strip())

@@ -31,10 +31,11 @@ def is_plain(name: object) -> bool:
 
 
 def refuse_outside(root: Path, name: str, source: str, folder: str) -> None:
-    """Raise InputError for a name that is no plain path below `root`, and for a link on its way.
+    """Raise InputError if a file name that a session states leads out of the session's folder.
 
-    root: of the session; name: that it states, such as panoramas/SLOT.exr; source: of the name, for
-    errors; folder: below the root, to which the name is relative, and which it may leave by `..`.
+    root: the session's folder; name: such as panoramas/SLOT.exr; source: file that states it, for
+    errors; folder: below the root, to which the name is relative, and which it may leave by `..`. A
+    link on the way is rejected unless the user permitted it.
     """
     parts = list(PurePosixPath(name).parts)
     base = list(PurePosixPath(folder).parts)
@@ -49,9 +50,9 @@ def refuse_outside(root: Path, name: str, source: str, folder: str) -> None:
 
 
 def link_on_the_way(root: Path, path: Path) -> Path | None:
-    """Return the first link below `root` on the way to `path`, `path` included; None without one.
+    """Return the first symbolic link on the way from `root` to a path below it; None without one.
 
-    A link that the user of this computer permitted does not count.
+    The path itself may be one. A link that the user of this computer permitted does not count.
     """
     place = root
     for part in path.relative_to(root).parts:
@@ -62,13 +63,16 @@ def link_on_the_way(root: Path, path: Path) -> Path | None:
 
 
 def link_subject(link: Path, target: Path) -> Subject:
-    """Return a link as the subject of a permission, which ends when its resolved target changes."""
+    """Return the subject of the permission for a link; target: the link, resolved.
+
+    The permission ends when the target changes.
+    """
     place = link.parent.resolve() / link.name
     return subject("link", str(place), str(place), str(place.readlink()), str(target))
 
 
 def refuse_link(root: Path, path: Path) -> None:
-    """Raise InputError for a link below `root` on the way to `path` that is not permitted."""
+    """Raise InputError if a link on the way from `root` to `path` was not permitted."""
     if (link := link_on_the_way(root, path)) is not None:
         found = f"a symbolic link to {link.readlink()}"
         expected = "files and folders of the session itself"
@@ -79,9 +83,10 @@ def refuse_link(root: Path, path: Path) -> None:
 def refuse_links(root: Path, stems: Container[str]) -> None:
     """Raise InputError for a link, pipe or device in a session where fieldlum reads or writes.
 
-    stems: names, up to their first dot, of the entries of the session's folder to check, with all
-    below them. A hidden entry must be none itself; what is below it is of the disk or of another
-    program. Links that the user of this computer permitted are followed and checked too.
+    root: of the session; stems: names, up to their first dot, of the entries of its folder that are
+    checked, with all below them. Of a hidden entry only itself is checked, because its content
+    belongs to the disk or to another program. Links that the user of this computer permitted are
+    followed and checked too.
     """
     for entry in list(os.scandir(root)):
         is_hidden = entry.name.startswith(".")
@@ -90,7 +95,10 @@ def refuse_links(root: Path, stems: Container[str]) -> None:
 
 
 def _refuse_in(entry: os.DirEntry[str], *, is_deep: bool = True) -> None:
-    """Raise InputError for a link or a special file; is_deep: also in the folder that it is."""
+    """Raise InputError if an entry of a folder is a link, pipe, socket or device.
+
+    is_deep: check the content of a folder too.
+    """
     path = Path(entry.path)
     if entry.is_symlink():
         refuse_link(path.parent, path)
@@ -102,11 +110,11 @@ def _refuse_in(entry: os.DirEntry[str], *, is_deep: bool = True) -> None:
 
 
 def open_inside(root: Path, path: Path, flags: int) -> int:
-    """Open a file of a session as `open_file` does, if no folder on its way is a link either.
+    """Return the handle of a file of a session, opened without following links.
 
-    Each folder is opened in the one before, so that none can be exchanged after it was checked. A
-    link that the user permitted leads to its target. root: of the session; flags: of os.open.
-    Returns the handle. Raises OSError for a link.
+    root: of the session; flags: of os.open. Each folder on the way is opened in the one before, so
+    that none can be exchanged after it was checked. A link that the user permitted leads to its
+    target. Raises OSError for another link.
     """
     if (link := link_on_the_way(root, path)) is not None:
         raise OSError(errno.ELOOP, "a symbolic link, which is not followed", str(link))
@@ -117,17 +125,17 @@ def open_inside(root: Path, path: Path, flags: int) -> int:
     try:
         for folder in folders:
             how = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
-            outer, handle = handle, os.open(_step(folder), how, dir_fd=handle)
+            outer, handle = handle, os.open(_name_or_target(folder), how, dir_fd=handle)
             os.close(outer)
-        return open_file(_step(place), flags, folder=handle)
+        return open_file(_name_or_target(place), flags, folder=handle)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         os.close(handle)
 
 
-def _step(place: Path) -> Path:
-    """Return how to open a place from its folder: by name; a permitted link by its target."""
+def _name_or_target(place: Path) -> Path:
+    """Return the path by which a file is opened in its folder: its name, or a permitted target."""
     if place.is_symlink() and is_permitted(link_subject(place, target := place.resolve())):
         return target
     return Path(place.name)

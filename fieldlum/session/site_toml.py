@@ -14,8 +14,8 @@ from fieldlum.core.strict_toml import TomlTable, build, plain, read_toml
 from fieldlum.optics.projection import direction
 from fieldlum.sky import sun
 
-# Hours between a zone's time and its sun: western China's clocks are 3.1 h ahead, more than others.
-# Chosen.
+# Largest difference of a zone's time and solar time: western China's clocks are 3.1 h ahead, more
+# than others. Chosen.
 _MAX_OFF_SUN_H = 4.0
 # A place is refused if it is farther from its time zone's city than this, and the other sign of
 # latitude or longitude is at most half as far. No country with one zone on both sides of the
@@ -27,10 +27,10 @@ _MERIDIANS_MEET_DEG = 85.0  # stations near the poles use the time of their supp
 
 
 def site_from_table(table: TomlTable, where: str) -> SiteFile:
-    """Build the site, camera and room from the parsed content of a SITE.toml.
+    """Return the site, camera and room in the tables of a SITE.toml.
 
-    where: name of the source in errors. Raises InputError for unknown keys, an impossible place, or
-    a time zone that is unknown or over 4 h from the solar time of the longitude.
+    where: name of the source, for errors. Raises InputError for unknown keys, an impossible place,
+    or a time zone that is unknown or over 4 h from the solar time of the longitude.
     """
     setup = build(SiteFile, table, where)
     site = setup.site
@@ -51,53 +51,56 @@ def site_from_table(table: TomlTable, where: str) -> SiteFile:
 
 @cache
 def _zone_places() -> dict[str, tuple[float, float]]:
-    """Return latitude and longitude of each time zone's city, from zone.tab of tzdata."""
+    """Return latitude and longitude [deg] of each time zone's city, from zone.tab of tzdata."""
     text = (files("tzdata") / "zoneinfo" / "zone.tab").read_text(encoding="utf-8")
-    places = (_ZONE_PLACE.match(line) for line in text.splitlines())
-    return {p[3]: (float(p[1]), float(p[2])) for p in places if p}
+    matches = (_ZONE_PLACE.match(line) for line in text.splitlines())
+    return {match[3]: (float(match[1]), float(match[2])) for match in matches if match}
 
 
 def wrong_sign_text(site: Site) -> str:
-    """Return what is wrong with the sign of a latitude or longitude by the time zone; "" if fine.
+    """Return a sentence if a latitude or longitude probably has the wrong sign; else "".
 
-    A zone that is no city, such as UTC, has no place and is not checked.
+    It has if the site is far from the city of its time zone, and would be near with another sign or
+    with both numbers exchanged. A zone that is no city, such as UTC, is not checked.
     """
-    place = _zone_places().get(site.timezone)
+    city = _zone_places().get(site.timezone)
     lat, lon = site.latitude_deg, site.longitude_deg
-    if place is None:
+    if city is None:
         return ""
 
-    def away_km(lat: float, lon: float) -> float:
-        return 6371.0 * math.acos(min(float(direction(lat, lon) @ direction(*place)), 1.0))
+    def distance_km(lat: float, lon: float) -> float:
+        """Return the distance from the city, on a sphere with the Earth's mean radius."""
+        return 6371.0 * math.acos(min(float(direction(lat, lon) @ direction(*city)), 1.0))
 
-    near, which = min(
-        (away_km(-lat, lon), "latitude"),
-        (away_km(lat, -lon), "longitude"),
-        (away_km(-lat, -lon), "latitude and longitude"),
-        (away_km(lon, lat) if abs(lon) <= 90.0 else math.inf, ""),
+    near_km, which = min(
+        (distance_km(-lat, lon), "latitude"),
+        (distance_km(lat, -lon), "longitude"),
+        (distance_km(-lat, -lon), "latitude and longitude"),
+        (distance_km(lon, lat) if abs(lon) <= 90.0 else math.inf, ""),
     )
-    if (away := away_km(lat, lon)) < _FAR_FROM_ZONE_KM or near > away / 2:
+    if (stated_km := distance_km(lat, lon)) < _FAR_FROM_ZONE_KM or near_km > stated_km / 2:
         return ""
-    found = f"{lat:g}, {lon:g} is {away:.0f} km from {site.timezone}"
+    found = f"{lat:g}, {lon:g} is {stated_km:.0f} km from {site.timezone}"
     how = f"the other sign of the {which}" if which else "latitude and longitude exchanged"
-    return f"{found}, and with {how} {near:.0f} km"
+    return f"{found}, and with {how} {near_km:.0f} km"
 
 
 def with_paths_from(setup: SiteFile, folder: Path) -> SiteFile:
-    """Return a site whose camera profile and room file are found from any current folder.
+    """Return a site with paths of its camera profile and room file that fit any current folder.
 
-    They are searched in `folder`, then in the folders above it, so that a file of the same name in
-    the current folder is not used instead. A file that is in none of them keeps its name.
+    The files are searched in `folder`, then in the folders above it, so that a file of the same
+    name in the current folder is not used in place of them. The name of a file that is in none of
+    them remains.
     """
 
-    def nearest(name: str) -> str:
+    def path_of(name: str) -> str:
         paths = (above / name for above in (folder, *folder.absolute().parents))
         path = next((path for path in paths if path.is_file()), None) if name else None
         is_here = path is None or (Path(name).is_file() and path.samefile(name))
         return name if is_here else str(path)
 
-    camera = replace(setup.camera, profile=nearest(setup.camera.profile))
-    room = setup.room and replace(setup.room, file=nearest(setup.room.file))
+    camera = replace(setup.camera, profile=path_of(setup.camera.profile))
+    room = setup.room and replace(setup.room, file=path_of(setup.room.file))
     return replace(setup, camera=camera, room=room)
 
 
@@ -107,10 +110,11 @@ def site_table(setup: SiteFile) -> TomlTable:
 
 
 def load_site(path: Path) -> SiteFile:
-    """Read a SITE.toml. Raises InputError for a file or a value that cannot be used.
+    """Return the site, camera and room of a SITE.toml.
 
-    The camera's height may be stated in [camera] or in [room], and then counts in both; two
-    different heights are an error. `assumed` lists heading and profile if they are not stated.
+    The camera's height may be stated in [camera] or in [room], and then counts in both. The
+    camera's `assumed` lists heading and profile if they are not stated. Raises InputError for a
+    file or a value that cannot be used, and for two different heights.
     """
     table = read_toml(path)
     camera, room = table.setdefault("camera", {}), table.get("room")

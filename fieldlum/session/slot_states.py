@@ -50,9 +50,10 @@ class SlotStates:
 
 
 def apply_events(events: Iterable[JournalEvent], states: SlotStates | None = None) -> SlotStates:
-    """Return the state of all slots after some events; with `states`, add them to it in place.
+    """Return the state of all slots after some events, from which a capture resumes.
 
-    A capture resumes from this state only.
+    events: of the journal, in its order; states: the state before them, which is changed in place;
+    None: before any event.
     """
     states = SlotStates() if states is None else states
     for event in events:
@@ -102,9 +103,9 @@ def slots_to_do(slots: Sequence[Slot], states: SlotStates) -> list[Slot]:
 
 
 def slots_ahead(session: Session, now_utc: datetime) -> list[Slot]:
-    """Return the slots that still need a bracket and whose grace is not over, in order of time.
+    """Return the slots whose bracket is missing and may still start, in order of time.
 
-    grace: how late a bracket may start.
+    It may start until the session's grace after the slot's time.
     """
     to_do = slots_to_do(session.slots(), read_slot_states(session))
     return [slot for slot in to_do if slot.t_utc + session.grace >= now_utc]
@@ -119,26 +120,27 @@ MAKEUP = "makeup:"  # tag, followed by the missed slot's id
 def makeups_by_slot(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
     """Return the make-up slots of each slot that has some, by the id of the original slot.
 
-    The make-up of a missed make-up counts for the first missed slot.
+    The make-up of a missed make-up is one of the original slot.
     """
     tags = ((slot.id, tag) for slot in slots for tag in slot.tags)
-    of = {slot: tag.removeprefix(MAKEUP) for slot, tag in tags if tag.startswith(MAKEUP)}
+    missed = {slot: tag.removeprefix(MAKEUP) for slot, tag in tags if tag.startswith(MAKEUP)}
     makeups: dict[str, list[Slot]] = {}
     for slot in slots:
-        if first := of.get(slot.id):
-            while first in of:
-                first = of[first]
-            makeups.setdefault(first, []).append(slot)
+        if original := missed.get(slot.id):
+            while original in missed:
+                original = missed[original]
+            makeups.setdefault(original, []).append(slot)
     return makeups
 
 
 def without_capture(slots: Sequence[Slot], captured: Collection[str]) -> tuple[int, int]:
-    """Return how many original slots were captured neither themselves nor by a make-up, and of all.
+    """Return how many original slots have no capture, and how many original slots there are.
 
-    captured: ids of captured slots. Make-ups are not counted as slots.
+    captured: ids of captured slots. A slot has a capture if it or one of its make-ups is captured;
+    make-ups are no original slots.
     """
     makeups = makeups_by_slot(slots)
-    added = {makeup.id for several in makeups.values() for makeup in several}
-    original = [slot.id for slot in slots if slot.id not in added]
-    tried = ({slot, *(m.id for m in makeups.get(slot, ()))} for slot in original)
-    return sum(ids.isdisjoint(captured) for ids in tried), len(original)
+    makeup_ids = {makeup.id for several in makeups.values() for makeup in several}
+    original = [slot.id for slot in slots if slot.id not in makeup_ids]
+    chances = ({slot, *(m.id for m in makeups.get(slot, ()))} for slot in original)
+    return sum(ids.isdisjoint(captured) for ids in chances), len(original)

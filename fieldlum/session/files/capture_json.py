@@ -17,10 +17,11 @@ from fieldlum.session.safe_paths import is_plain
 class Frame:
     """One frame of a bracket: its file, exposure, times and sha256.
 
-    index: place in the bracket, from 0; file: relative to the slot's folder; exposure: as
-    requested, or from EXIF if that differs, and then `doubt` is set; t_utc: time of the request;
-    seconds: from the request to the file on the disk; doubt: what looked wrong when the frame was
-    checked; instead_of: file of the doubtful frame that this one replaces.
+    index: place in the bracket, from 0; file: its name in the slot's folder; exposure: as planned,
+    or from EXIF if that differs, and then `doubt` is set; heading_deg: view direction, clockwise
+    from north, None without a turning head; t_utc: when the frame was requested; seconds: from then
+    until the file was on the disk; doubt: what looked wrong when the frame was checked;
+    instead_of: file of the doubtful frame that this one replaces.
     """
 
     index: int
@@ -39,12 +40,12 @@ class Frame:
 
 
 def frame_fields(frame: Frame) -> JsonTable:
-    """Return a frame with the keys of the journal and capture.json, without empty texts."""
+    """Return a frame as the JSON object of journal and capture.json, without empty texts."""
     return {key: value for key, value in to_json(frame).items() if value != ""}
 
 
 def frame_from(fields: Mapping[str, Any]) -> Frame:
-    """Return the frame of a table that `frame_fields` wrote.
+    """Return the frame in a JSON object that `frame_fields` returned.
 
     Raises TypeError or ValueError for other content, such as a file in another folder.
     """
@@ -61,8 +62,7 @@ class CaptureFile(JsonFile, frozen=True):
     t_open_utc: first request to the camera; t_close_utc: when the last file was on the disk;
     complete: whether all planned frames were taken; profile: name of the camera profile;
     heading_deg: clockwise from north; camera: fields of `CameraInfo` that are known;
-    illuminance_lx: mean reading of a
-    meter at the lens, or None.
+    illuminance_lx: mean reading of a meter at the lens, or None.
     """
 
     EXPECTED = "the frames of a bracket, as capture and import write them"
@@ -89,12 +89,13 @@ class CaptureFile(JsonFile, frozen=True):
 
     @classmethod
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
-        """Return the JSON object with the keys of the present version, such as frames and slot.
+        """Return the JSON object of a file of any version with the keys of the present version.
 
-        Old files lack times and slot; the slot is then the name of the folder of `path`.
+        Files of earlier versions lack times and slot; the slot is then the name of the folder of
+        `path`. Raises ValueError for two frames with the same file.
         """
         rows = enumerate(table.get("frames", ()))
-        frames = tuple(frame_from({"index": number, **row}) for number, row in rows)
+        frames = tuple(frame_from({"index": index, **row}) for index, row in rows)
         if len({frame.file.casefold() for frame in frames}) < len(frames):
             raise ValueError("two frames with the same file name, apart from capitals")
         if "t_open_utc" not in table:
@@ -109,7 +110,7 @@ class CaptureFile(JsonFile, frozen=True):
 
 
 def interval_of(frames: tuple[Frame, ...]) -> tuple[datetime, datetime]:
-    """Return the earliest request and the latest end (request plus duration) of some frames [UTC].
+    """Return the UTC times of the first request of some frames, and of the last file on the disk.
 
     Raises ValueError without frames.
     """

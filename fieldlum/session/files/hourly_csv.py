@@ -26,8 +26,8 @@ VIEW_COLUMNS = (
     *("dgp", "u_dgp", "dgp_low", "dgp_high", "dgps", "ev_lx", "melanopic_edi_lx_estimate"),
     *(*COLOUR_COLUMNS, "ugr", "dgi", "task_cdm2", "window_to_task", "uniformity"),
 )
-# Columns that earlier versions did not write are NaN in their years.
-_LATER = ("dgp_low", "dgp_high", *COLOUR_COLUMNS, "disturbed_share")
+# Columns that earlier versions did not write; they are NaN in their years.
+_LATER_COLUMNS = ("dgp_low", "dgp_high", *COLOUR_COLUMNS, "disturbed_share")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,35 +46,37 @@ class HourlyFile:
 
     @classmethod
     def read(cls, folder: Path, azimuths_deg: Floats, count: int) -> HourlyFile:
-        """Read hourly.csv of a folder, with `count` rows and d view directions.
+        """Read hourly.csv of a folder.
 
-        azimuths_deg: of the directions [d]. Warns of a file that changed after `write`. Raises
-        InputError for a missing file, another number of rows or other content.
+        azimuths_deg: of its view directions [d]; count: its number of rows. Warns of a file that
+        changed after `write`. Raises InputError for a missing file, another number of rows or other
+        content.
         """
         path, remedy = folder / NAME, "run fieldlum predict again"
         expected = f"{count} hours that fieldlum predict wrote"
-        column = read_columns(path, expected, remedy)
-        check_format(path, int(column.get("format", np.ones(1)).max(initial=1)), FORMAT)
+        stored = read_columns(path, expected, remedy)
+        check_format(path, int(stored.get("format", np.ones(1)).max(initial=1)), FORMAT)
 
-        def figures(name: str, key: str) -> Floats:
-            if name in _LATER and key not in column:
+        def values_of(name: str, column: str) -> Floats:
+            """Return the values of a column of the file [count]; name: that of its metric."""
+            if name in _LATER_COLUMNS and column not in stored:
                 return np.full(count, np.nan)
-            return column[key].astype(float)
+            return stored[column].astype(float)
 
         with input_errors(path, expected, remedy, ValueError, KeyError):
-            if len(column["t_utc"]) != count:
-                raise ValueError(f"{len(column['t_utc'])} hours")
-            more = (name.partition("@")[0] for name in column if "@" in name)
+            if len(stored["t_utc"]) != count:
+                raise ValueError(f"{len(stored['t_utc'])} hours")
+            metrics = (column.partition("@")[0] for column in stored if "@" in column)
             views = {
-                name: np.stack([figures(name, f"{name}@{a:g}") for a in azimuths_deg], axis=1)
-                for name in dict.fromkeys([*VIEW_COLUMNS, *more])
+                name: np.stack([values_of(name, f"{name}@{a:g}") for a in azimuths_deg], axis=1)
+                for name in dict.fromkeys([*VIEW_COLUMNS, *metrics])
             }
-            hours = {name: figures(name, name) for name in HOUR_COLUMNS}
-        times = tuple(datetime.fromtimestamp(t, UTC) for t in column["t_utc"])
+            hours = {name: values_of(name, name) for name in HOUR_COLUMNS}
+        times = tuple(datetime.fromtimestamp(t, UTC) for t in stored["t_utc"])
         return cls(times, azimuths_deg, hours, views)
 
     def write(self, folder: Path, timezone: str) -> None:
-        """Write hourly.csv; its column t_local is in `timezone`, the IANA zone of the site."""
+        """Write hourly.csv into a folder; timezone: IANA name of the zone of its local times."""
         zone = ZoneInfo(timezone)
         columns: dict[str, Any] = {
             "t_utc": [t.timestamp() for t in self.t_utc],

@@ -21,7 +21,10 @@ MAX_HEIGHT = 4096
 
 
 class TrainingNote(Struct, frozen=True):
-    """Training data of a model; source: the csv; slots: their ids; days: in local standard time."""
+    """What a model was trained with: the csv `source`, ids of its slots, and their dates.
+
+    days: dates in local standard time, such as 2027-03-20.
+    """
 
     source: str = ""
     slots: tuple[str, ...] = ()
@@ -123,9 +126,9 @@ class ScoresFile(JsonFile, frozen=True):
 
     @property
     def judged_row(self) -> dict[str, Any] | None:
-        """Row of the chosen model, with the keys of `train --json`; None without its error.
+        """Row of the chosen model, as `ScoreRow`; None if it has no held-out error.
 
-        The row or its held-out error is missing for example because the time limit ended before.
+        It has none for example if the time limit of the training ended before.
         """
         row = next((row for row in self.models if row.get("name") == self.chosen), None)
         return row if row is not None and row.get("median") is not None else None
@@ -140,10 +143,11 @@ MAX_MAPS = 150  # most maps in the file, spread evenly: 4 MB at 116 x 58; chosen
 
 @dataclass(frozen=True, slots=True)
 class HeldOutMaps:
-    """Hours that were held out of the fit which predicted them, in the order of the folds.
+    """Measured and predicted maps of held-out hours, in the order of the folds.
 
-    slots: ids [n]; log10_mse: weighted by solid angle [n]; measured_log10, predicted_log10: log10
-    of cd/m2 [n, h, w], float16 (to 0.2 %), reduced to fewer pixels, without the disc.
+    slots: ids [n]; log10_mse: mean squared error of log10 luminance, weighted by solid angle, [n];
+    measured_log10, predicted_log10: log10 of luminance in cd/m2 [n, h, w], float16 (to 0.2 %),
+    reduced to fewer pixels, without the sun disc.
     """
 
     slots: NDArray[np.str_]
@@ -156,7 +160,7 @@ class HeldOutMaps:
 
     @classmethod
     def join(cls, parts: Sequence[HeldOutMaps]) -> HeldOutMaps | None:
-        """Return the hours of several tests as one object; None without any test."""
+        """Return the maps of several folds as one object; None without any fold."""
         if not parts:
             return None
         return cls(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in _ARRAYS})

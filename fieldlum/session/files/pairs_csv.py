@@ -28,12 +28,11 @@ class PairRow:
 
     panorama, sunpatch: paths relative to the csv. An empty text means that there is none; NaN means
     unknown. source: of the irradiance; sun_altitude_deg: true, without refraction;
-    sun_azimuth_deg: clockwise from true north; steadiness: range of the global irradiance
-    over its mean; sun_in_map: whether the pictures contain the disc; refraction: False for a
-    rendering that shows the sun at its true altitude; ok: whether the row may be
-    used; why: the reason if not, or a caution; doubtful: whether a usable row's irradiance is too
-    uncertain to judge pictures by; state: of the room, such as lamp=on; line: number of the line in
-    the csv, from 1, 0 if not read.
+    sun_azimuth_deg: clockwise from true north; steadiness: range of the global irradiance over its
+    mean; sun_in_map: whether the pictures contain the disc; refraction: False for a rendering that
+    shows the sun at its true altitude; ok: whether the row may be used; why: the reason if not, or
+    a caution; doubtful: whether a usable row's irradiance is too uncertain to judge pictures by;
+    state: of the room, such as lamp=on; line: number of the line in the csv, from 1, 0 if not read.
     """
 
     t_utc: datetime
@@ -126,20 +125,19 @@ def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
 
 
 def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
-    """Return the record of a line; of one with ok = 0 only time, panorama and reason.
+    """Return the row of a line; cells: by column. With ok = 0 only time, panorama and reason count.
 
     Raises InputError for a wrong cell and for irradiance outside the limits.
     """
     where = f"{path}: line {line}"
     if cells.get("ok", "").lower() in ("0", "0.0", "false", "no"):
-        moment = NO_TIME
+        t_utc = NO_TIME
         with suppress(ValueError):
-            moment = parse_utc(cells["t_utc"])
+            t_utc = parse_utc(cells["t_utc"])
         panorama, why = cells["panorama"], cells.get("why", "")
-        return PairRow(moment, panorama, math.nan, math.nan, ok=False, why=why, line=line)
-    row = read_row(
-        PairRow, where, {"doubtful": _was_doubted(cells), **cells, "line": str(line)}, _REMEDY
-    )
+        return PairRow(t_utc, panorama, math.nan, math.nan, ok=False, why=why, line=line)
+    all_cells = {"doubtful": _was_doubtful(cells), **cells, "line": str(line)}
+    row = read_row(PairRow, where, all_cells, _REMEDY)
     check_format(path, row.format, FORMAT)
     if not row.panorama:
         raise InputError(where, "the cell of column panorama is empty", "a picture's path", _REMEDY)
@@ -151,8 +149,11 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
     return replace(row, dni_wm2=max(row.dni_wm2, 0.0), dhi_wm2=max(row.dhi_wm2, 0.0))
 
 
-def _was_doubted(cells: dict[str, str]) -> str:
-    """Return `doubtful` of a row of an earlier version, which stated it only in words."""
+def _was_doubtful(cells: dict[str, str]) -> str:
+    """Return "1" if a row without the column `doubtful` has a cause of doubt in `why`, else "0".
+
+    Earlier versions did not write that column.
+    """
     words = ("light changed", "global is not", "diffuse above", "irradiance outside", "one reading")
     return str(int(any(text in cells.get("why", "") for text in words)))
 
@@ -163,11 +164,12 @@ def write_simulated_pairs(session: Session, rows: tuple[PairRow, ...]) -> None:
     rows: with paths relative to the session's folder.
     """
 
-    def from_truth(name: str) -> str:
-        return posixpath.relpath(name, "truth") if name else ""
+    def below_truth(path: str) -> str:
+        """Return a path relative to truth/; an empty one remains."""
+        return posixpath.relpath(path, "truth") if path else ""
 
     in_truth = tuple(
-        replace(row, panorama=from_truth(row.panorama), sunpatch=from_truth(row.sunpatch))
+        replace(row, panorama=below_truth(row.panorama), sunpatch=below_truth(row.sunpatch))
         for row in rows
     )
     PairsFile(session.truth_pairs, in_truth).write()

@@ -11,11 +11,11 @@ from fieldlum.session.codec import JsonFile
 class DirectionYear(Struct, frozen=True):
     """Glare of one view direction over the occupied hours.
 
-    azimuth_deg: clockwise from north. glare_class: called `class` in predict.json. certain: whether
-    it is decided. seen: "seen", "partly seen" or "not seen", by the lenses. dgp_exceeded: DGP that
-    is exceeded in the share `share` of the hours, with its 95 % interval low to high; None:
-    unknown. hours_over: number of hours above each limit of DGP ("0.35", "0.40", "0.45"); None:
-    unknown. sentence: the class in words.
+    azimuth_deg: clockwise from north. glare_class: of EN 17037, high to none; called `class` in
+    predict.json. certain: whether the 95 % interval is within one class. seen: "seen", "partly
+    seen" or "not seen", by the lenses. dgp_exceeded: DGP that is exceeded in the share `share` of
+    the hours, with its 95 % interval low to high; None: unknown. hours_over: number of hours above
+    each limit of DGP ("0.35", "0.40", "0.45"); None: unknown. sentence: the class in words.
     """
 
     azimuth_deg: float
@@ -33,9 +33,10 @@ class DirectionYear(Struct, frozen=True):
 class YearOccupancy(Struct, frozen=True):
     """The occupied hours of a year.
 
-    text: their rule; hours: their number; lit: number of those with daylight; untrusted_share:
-    share (0 to 1) of the lit hours in which the model does not trust its maps; unsure_share: share
-    of those with such a map or with a wide interval of DGP, None in files of earlier versions.
+    text: which hours they are, in words; hours: their number; lit: number of those with daylight;
+    untrusted_share: share (0 to 1) of the lit hours in which the model does not trust its maps;
+    unsure_share: share of the lit hours with such a map or with a wide interval of DGP, None in
+    files of earlier versions.
     """
 
     text: str = ""
@@ -46,7 +47,10 @@ class YearOccupancy(Struct, frozen=True):
 
 
 class YearWeather(Struct, frozen=True):
-    """The weather of a year; repairs: a text for each repair of its file."""
+    """The weather of a year.
+
+    name: of the file; synthetic: whether it was generated; repairs: a text on each repair of it.
+    """
 
     name: str = ""
     synthetic: bool = False

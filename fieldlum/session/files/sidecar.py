@@ -45,7 +45,7 @@ class FrameQuality(Struct, frozen=True):
 
     @classmethod
     def of(cls, file: str, exposure: Exposure, correction: float, **more: Any) -> Self:
-        """Return the quality of a frame with an exposure.
+        """Return the quality of a frame, with the text and the numbers of its exposure.
 
         file: name of the frame; correction: fitted over assumed exposure; more: the other fields.
         """
@@ -73,10 +73,11 @@ class NeighbourQuality(Struct, frozen=True):
 
 
 class ShiftQuality(Struct, frozen=True):
-    """Turn of the camera between two frames, which are named by their files.
+    """Turn of the camera between two frames.
 
-    long, short: the more and the less exposed one; shift_px: in sensor pixels at the lens's axis;
-    u_px: its standard uncertainty; sure_px: the shift minus three of these, at least 0.
+    long, short: files of the more and the less exposed frame; turn_deg: angle of the turn;
+    shift_px: the same in sensor pixels at the lens's axis; u_px: its standard uncertainty; sure_px:
+    the shift minus three standard uncertainties, at least 0.
     """
 
     long: str
@@ -218,19 +219,23 @@ class Sidecar(JsonFile, frozen=True):
 
 
 def warn_if_changed(picture: Path, stage: str = "merge") -> None:
-    """Warn with ChangedFileWarning if a picture changed after its stage wrote it."""
+    """Warn with ChangedFileWarning if a picture changed after its stage wrote it.
+
+    It did if its SHA-256 is not that of its sidecar; a picture without one counts as unchanged.
+    stage: the command that writes it.
+    """
     with suppress(InputError):
-        note = read_object(picture.with_suffix(".json"), "", "")
-        if note.get("sha256", "") not in ("", sha256(picture)):
+        sidecar = read_object(picture.with_suffix(".json"), "", "")
+        if sidecar.get("sha256", "") not in ("", sha256(picture)):
             text = f"{picture}: the content changed after {stage} wrote it; expected the sha256 in "
             text += f"{picture.stem}.json; write it again: fieldlum {stage}"
             warnings.warn(text, ChangedFileWarning, stacklevel=2)
 
 
 def readable_sidecars(paths: Iterable[Path]) -> Iterator[Sidecar]:
-    """Yield the sidecars that can be read, in the order of `paths`.
+    """Yield the sidecars in some files, in their order; skip files that cannot be read.
 
-    Others are damaged, or were not written by a merge.
+    These are damaged, or were not written by a merge.
     """
     for path in paths:
         with suppress(InputError):
