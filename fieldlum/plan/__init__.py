@@ -1,9 +1,7 @@
 """Make capture plans: hours, exposures, time, storage, and coverage of the year's light."""
 
-from __future__ import annotations
-
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from datetime import date, datetime
 from pathlib import Path
@@ -27,24 +25,74 @@ from fieldlum.sky import sun
 from fieldlum.weather import Weather
 
 
-def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Mask:
-    """Return a mask [n]: True where a sun at these angles shines through a window.
+@dataclass(frozen=True, slots=True)
+class Request:
+    """The options of the command `plan`; None where the user states none.
 
-    altitude_deg, azimuth_deg: [n] of the sun as the room receives it, clockwise from true north.
-    It shines through if one of 6 x 6 points of the window is lit past reveals, bars and
-    obstructions. Raises InputError for an impossible room.
+    set: 4-day, 9-day, 12-day, month, even or best; today: the local date; start: first date; year:
+    of the equinoxes and solstices, or of a first date on 1 January; days: number of days, for
+    month, even and best; count: number of hours, for even (None: 200, as Liu, Colburn and Inanici
+    2020) and best (None: 50); seed: of the clusters of even.
+    """
+
+    set: str
+    today: date
+    start: date | None = None
+    year: int | None = None
+    days: int | None = None
+    count: int | None = None
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The slots of a set, in order of time, with their cost, coverage and warnings.
+
+    days: all days of the set, also those without slots; seconds_per_slot, megabytes_per_slot: time
+    and disk space of one bracket at all headings.
+    """
+
+    slots: tuple[Slot, ...]
+    days: tuple[date, ...]
+    seconds_per_slot: float
+    megabytes_per_slot: float
+    coverage: Coverage
+    warnings: tuple[str, ...]
+
+    def about(self, request: Request) -> PlanTable:
+        """Return the table [plan] of session.toml, with the options that are set and revision 0."""
+        table: PlanTable = {
+            "set": request.set,
+            "revision": 0,
+            "slots": len(self.slots),
+            "first": self.days[0],
+            "last": self.days[-1],
+            "seconds_per_slot": self.seconds_per_slot,
+            "megabytes_per_slot": self.megabytes_per_slot,
+            "sun_band_percent": round(self.coverage.sun_band_percent, 1),
+        }
+        stated = {name: getattr(request, name) for name in ("start", "year", "count")}
+        return table | {name: v for name, v in stated.items() if v is not None}  # type: ignore
+
+
+def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Mask:
+    """Return a mask [n]: True where a sun at these angles shines through a window of a box room.
+
+    altitude_deg, azimuth_deg: [n] of the sun as the room receives it, clockwise from true north. It
+    shines through if one of 6 x 6 points of the window is lit past reveals, bars and obstructions.
+    Raises InputError for an impossible room.
     """
     scene = build(room)
-    suns = scene.to_room(sun.direction(altitude_deg, azimuth_deg))
+    suns = scene.to_room(sun.direction(altitude_deg, azimuth_deg))  # [n, 3]
     enters = np.zeros(len(suns), bool)
     steps = (np.arange(6) + 0.5) / 6
-    for o in scene.openings:
-        along_m = o.u_m[0] + (o.u_m[1] - o.u_m[0]) * steps
-        height_m = o.z_m[0] + (o.z_m[1] - o.z_m[0]) * steps
-        at = np.full((36, 3), o.inner_m)
-        at[:, o.along], at[:, 2] = map(np.ravel, np.meshgrid(along_m, height_m))
-        axis, sign, target = np.full(36, o.axis), np.full(36, o.outward), np.full(36, 0)
-        points = sun_points(scene, at, axis, sign, np.ones(36), target, 1)
+    for opening in scene.openings:
+        (left_m, right_m), (low_m, high_m) = opening.u_m, opening.z_m
+        along_m, height_m = left_m + (right_m - left_m) * steps, low_m + (high_m - low_m) * steps
+        position = np.full((36, 3), opening.inner_m)
+        position[:, opening.along], position[:, 2] = map(np.ravel, np.meshgrid(along_m, height_m))
+        axis, sign, target = np.full(36, opening.axis), np.full(36, opening.outward), np.full(36, 0)
+        points = sun_points(scene, position, axis, sign, np.ones(36), target, 1)
         enters |= points.direct(suns)[:, 0] > 0.0
     return enters
 
@@ -68,14 +116,14 @@ _NO_WINDOW = (
 def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None) -> Plan:
     """Return the plan of a set: slots, cost, coverage and warnings; write nothing.
 
-    weather: a year of the place, needed by `best`, which adds the coverage of its daylight; None:
-    without. Raises NotEnoughDataError if no hour of the set has the sun above the horizon, if
-    `best` has no weather, or if `even` or `best` has weather without daylight on the days of the
-    set; InputError for a profile or room that cannot be used.
+    weather: a weather year of the site, for the coverage of its daylight; the set best needs one.
+    Raises NotEnoughDataError if no hour of the set has the sun above the horizon, if best has no
+    weather, or if even or best has weather without daylight on the days of the set; InputError for
+    a profile or room that cannot be used.
     """
     site, room = setup.site, setup.room
-    asked = (request.start, request.year, request.days)
-    days = capture_days.days_of_set(request.set, site, request.today, *asked)
+    dates = (request.start, request.year, request.days)
+    days = capture_days.days_of_set(request.set, site, request.today, *dates)
     from_to = f"from {days[0]} to {days[-1]}"
     night = f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg)"
     hours = capture_days.daylight_hours(days, site)
@@ -85,9 +133,8 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
         hours = hours[capture_days.even_hours(hours, weather, request.count or 200, rng)]
     elif request.set == "best":
         if weather is None:
-            raise NotEnoughDataError(
-                "the best hours depend on the climate; state a weather year with --weather FILE"
-            )
+            found = "the best hours depend on the climate"
+            raise NotEnoughDataError(f"{found}; state a weather year with --weather FILE")
         hours = hours[capture_days.best_hours(hours, weather, site, room, request.count or 50)]
     remedy = "choose its dates with --start or --year, or another weather file"
     _refuse_empty(hours, f"the weather file has no daylight {from_to}", remedy)
@@ -116,7 +163,7 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
 
 
 def _refuse_empty(hours: DaylightHours, finding: str, remedy: str) -> None:
-    """Raise NotEnoughDataError if there are no hours."""
+    """Raise NotEnoughDataError if there are no hours; finding, remedy: why, and what to do."""
     if not len(hours):
         raise NotEnoughDataError(f"{finding}, so the plan would be empty; {remedy}")
 
@@ -128,22 +175,22 @@ def _refuse_empty(hours: DaylightHours, finding: str, remedy: str) -> None:
 def make_slots(
     hours: DaylightHours, setup: SiteFile, exposures: Sequence[Exposure]
 ) -> tuple[Slot, ...]:
-    """Return a slot with `exposures` for each hour, in order of time, with tags.
+    """Return the slots of a plan: one for each hour, in order of time, with tags.
 
-    Tags: the equinox or solstice if it is at most a day away, such as "march-equinox"; "low-sun"
-    below 5 deg; in a box room also "sun-enters" (through a window) and "sun-in-view" (of the
-    camera). Raises InputError for an impossible box room.
+    exposures: of each slot. Tags: the equinox or solstice if it is at most a day away, such as
+    "march-equinox"; "low-sun" below 5 deg; in a box room also "sun-enters" (through a window) and
+    "sun-in-view" (of the camera). Raises InputError for an impossible box room.
     """
     days = [sun.standard_date(t, setup.site.timezone) for t in hours.t_utc]
     seasons = {day: capture_days.season_tag(day, setup.site) for day in set(days)}
     angles = (hours.altitude_deg, hours.azimuth_deg)
-    tagged = {"low-sun": hours.altitude_deg < sun.LOW_SUN_DEG}
+    masks = {"low-sun": hours.altitude_deg < sun.LOW_SUN_DEG}  # hours with a tag, [n]
     if setup.room is not None and setup.room.kind == "box":
-        tagged["sun-enters"] = sun_enters(setup.room, *angles)
-        tagged["sun-in-view"] = sun_in_view(setup.room, *angles)
+        masks["sun-enters"] = sun_enters(setup.room, *angles)
+        masks["sun-in-view"] = sun_in_view(setup.room, *angles)
     slots = []
     for i, (t_utc, altitude, azimuth) in enumerate(zip(hours.t_utc, *angles, strict=True)):
-        tags = (seasons[days[i]], *(name for name, rows in tagged.items() if rows[i]))
+        tags = (seasons[days[i]], *(tag for tag, mask in masks.items() if mask[i]))
         slot = Slot(
             t_utc,
             sun_altitude_deg=float(altitude),
@@ -158,13 +205,15 @@ def make_slots(
 def _cost_of(
     bracket: profiles.Bracket, exposures: Sequence[Exposure], setup: SiteFile
 ) -> tuple[float, float]:
-    """Return the seconds and megabytes of one slot, with every exposure at every heading.
+    """Return the time [s] and disk space [MB] of one slot, with every exposure at every heading.
 
-    The seconds are the profile's time per frame plus the exposure times.
+    bracket: the profile's estimates for one frame. The time is that per frame plus the shutter
+    times.
     """
-    turns = max(len(setup.camera.headings), 1)
+    headings = max(len(setup.camera.headings), 1)
     seconds = sum(bracket.seconds_per_frame + e.shutter_s for e in exposures)
-    return round(turns * seconds, 1), round(turns * len(exposures) * bracket.megabytes_per_frame, 1)
+    megabytes = len(exposures) * bracket.megabytes_per_frame
+    return round(headings * seconds, 1), round(headings * megabytes, 1)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -174,18 +223,19 @@ def _cost_of(
 def run(
     setup: SiteFile, request: Request, out: Path, weather: Weather | None = None
 ) -> tuple[Session, Plan]:
-    """Make the plan that `request` describes; return the new session `out`, and the plan.
+    """Write the plan that `request` describes into a new session folder; return session and plan.
 
-    weather: as for `make_plan`. Raises the errors of `make_plan` and `create_session`.
+    out: the folder; weather: as for `make_plan`. Raises the errors of `make_plan` and
+    `create_session`.
     """
     plan = make_plan(setup, request, weather)
     return create_session(out, setup, plan.slots, plan.about(request)), plan
 
 
 def write_calendar(session: Session, made_utc: datetime) -> None:
-    """Write plan.ics next to plan.csv, from the slots in plan.csv.
+    """Write the calendar plan.ics into a session's folder, from the slots in plan.csv.
 
-    Raises InputError if session.toml has no complete table [plan].
+    made_utc: time of writing. Raises InputError if session.toml has no complete table [plan].
     """
     seconds, _, revision = _planned_cost(session)
     data = ics(session.slots(), session.site_file().site, seconds, made_utc, revision)
@@ -195,10 +245,10 @@ def write_calendar(session: Session, made_utc: datetime) -> None:
 def write_sheets(
     session: Session, weather: Weather | None = None, notes: Sequence[str] = ()
 ) -> Path:
-    """Write plan.html next to plan.csv and return its path: plots, then a sheet for each day.
+    """Write plan.html into a session's folder and return its path: plots, then a sheet per day.
 
-    weather: for a plot of the skies that the plan covers; notes: texts to print. Raises InputError
-    if session.toml has no complete table [plan].
+    weather: a year, for a plot of the skies that the plan covers; notes: sentences to print on the
+    first page. Raises InputError if session.toml has no complete table [plan].
     """
     cost = _planned_cost(session)[:2]
     page = html(session.slots(), session.site_file(), cost, weather, notes)
@@ -206,7 +256,10 @@ def write_sheets(
 
 
 def _planned_cost(session: Session) -> tuple[float, float, int]:
-    """Return seconds and megabytes of one slot, and the plan's revision."""
+    """Return the time [s] and disk space [MB] of one slot, and the plan's revision.
+
+    Raises InputError if session.toml does not state them.
+    """
     plan = session.table().get("plan", {})
     if "seconds_per_slot" in plan and "megabytes_per_slot" in plan and "revision" in plan:
         return plan["seconds_per_slot"], plan["megabytes_per_slot"], plan["revision"]
@@ -216,95 +269,40 @@ def _planned_cost(session: Session) -> tuple[float, float, int]:
 
 
 # ----------------------------------------------------------------------------------------------
-# sheet, calendar and summary as text
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """The options of the command `plan`.
-
-    set: 4-day, 9-day, 12-day, month, even or best; today: the local date; start: first date; year:
-    of the equinoxes and solstices, or of a first date on 1 January; days: number for month, even
-    and best; count: of hours, for even (200, as Liu, Colburn and Inanici 2020) and best (50); seed:
-    for even.
-    """
-
-    set: str
-    today: date
-    start: date | None = None
-    year: int | None = None
-    days: int | None = None
-    count: int | None = None
-    seed: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """The slots of a set, their cost and coverage, and the warnings.
-
-    days: all days of the set, also those without slots.
-    """
-
-    slots: tuple[Slot, ...]
-    days: tuple[date, ...]
-    seconds_per_slot: float
-    megabytes_per_slot: float
-    coverage: Coverage
-    warnings: tuple[str, ...]
-
-    def about(self, request: Request) -> PlanTable:
-        """Return the table [plan] of session.toml, with the options that are set and revision 0."""
-        table: PlanTable = {
-            "set": request.set,
-            "revision": 0,
-            "slots": len(self.slots),
-            "first": self.days[0],
-            "last": self.days[-1],
-            "seconds_per_slot": self.seconds_per_slot,
-            "megabytes_per_slot": self.megabytes_per_slot,
-            "sun_band_percent": round(self.coverage.sun_band_percent, 1),
-        }
-        stated = {name: getattr(request, name) for name in ("start", "year", "count")}
-        return table | {name: v for name, v in stated.items() if v is not None}  # type: ignore
+# warnings and summary as text
 
 
 def plan_warnings(
     days: Sequence[date], hours: DaylightHours, site: Site, request: Request
-) -> list[str]:
-    """Return warnings about the days and hours of a plan, one sentence each; none is an empty list.
+) -> Iterator[str]:
+    """Yield warnings about the days and hours of a plan, each a sentence.
 
-    They are about polar night, midnight sun, fewer hours than `count`, clock changes, UTC as the
+    They are about polar night, midnight sun, fewer hours than requested, clock changes, UTC as the
     time zone of a distant site, and a plan that begins in the past.
     """
-    texts: list[str] = []
-    count, zone = Counter(sun.standard_date(t, site.timezone) for t in hours.t_utc), site.timezone
+    zone = site.timezone
+    hours_by_day = Counter(sun.standard_date(t, zone) for t in hours.t_utc)
     if request.set not in ("even", "best"):
-        dark, light = (sum(count[d] == n for d in days) for n in (0, 24))
+        dark, light = (sum(hours_by_day[day] == count for day in days) for count in (0, 24))
         if dark:
-            texts.append(f"polar night: no slot on {dark} of {len(days)} days")
+            yield f"polar night: no slot on {dark} of {len(days)} days"
         if light:
-            texts.append(f"midnight sun: a slot in every hour of {light} of {len(days)} days")
+            yield f"midnight sun: a slot in every hour of {light} of {len(days)} days"
     if request.count and len(hours) < request.count:
-        texts.append(
-            f"--count {request.count}: the plan has only {len(hours)} slots, because no more hours "
-            "of its days are suitable"
-        )
+        found = f"--count {request.count}: the plan has only {len(hours)} slots"
+        yield f"{found}, because no more hours of its days are suitable"
     for moment, change in sun.clock_changes(days[0], days[-1], zone):
-        if sun.standard_date(moment, zone) in set(days):
+        if sun.standard_date(moment, zone) in days:
             change_h = change.total_seconds() / 3600
             way = f"{'forward' if change_h > 0 else 'back'} by {abs(change_h):g} h"
             day = f"{moment.astimezone(ZoneInfo(zone)):%Y-%m-%d}"
-            texts.append(f"clocks go {way} on {day}; slots stay at hh:30 of standard time")
-    if zone == "UTC" and abs(site.longitude_deg) > 30:
-        texts.append(
-            f"timezone is UTC at longitude {site.longitude_deg:g}: days and hours of the plan are "
-            "those of UTC, not of the site"
-        )
+            yield f"clocks go {way} on {day}; slots stay at hh:30 of standard time"
+    if zone == "UTC" and abs(site.longitude_deg) > 30:  # two hours of solar time
+        found = f"timezone is UTC at longitude {site.longitude_deg:g}"
+        yield f"{found}: days and hours of the plan are those of UTC, not of the site"
     if days[0] < request.today:
-        texts.append(
-            f"the plan starts on {days[0]}, which is in the past: slots in the past count as missed"
-        )
-    return texts
+        found = f"the plan starts on {days[0]}, which is in the past"
+        yield f"{found}: slots in the past count as missed"
 
 
 def summary(session: Session, plan: Plan) -> JsonTable:
@@ -317,7 +315,7 @@ def summary(session: Session, plan: Plan) -> JsonTable:
     warnings: as in `Plan`.
     """
     slots, setup = plan.slots, session.site_file()
-    site, turns = setup.site, max(len(setup.camera.headings), 1)
+    site, headings = setup.site, max(len(setup.camera.headings), 1)
     days = sorted({sun.standard_date(slot.t_utc, site.timezone) for slot in slots})
     noon = sun.rise_transit_set(days[0], site).transit
     return {
@@ -327,7 +325,7 @@ def summary(session: Session, plan: Plan) -> JsonTable:
         "first": slots[0].id,
         "last": slots[-1].id,
         "solar_noon": f"{noon.astimezone(ZoneInfo(site.timezone)):%H:%M %Z}" if noon else "",
-        "frames": turns * sum(len(slot.exposures) for slot in slots),
+        "frames": headings * sum(len(slot.exposures) for slot in slots),
         "seconds_per_slot": plan.seconds_per_slot,
         "megabytes": round(plan.megabytes_per_slot * len(slots), 1),
         "size_is_known": "profile" not in setup.camera.assumed,
@@ -338,12 +336,13 @@ def summary(session: Session, plan: Plan) -> JsonTable:
 
 
 def sentences(summary: JsonTable) -> list[str]:
-    """Return the summary as sentences to print; the warnings are not among them."""
+    """Return a plan's `summary` as sentences to print; the warnings are not among them."""
     slots, days, tags = summary["slots"], summary["days"], summary["tags"]
     cost = f"{counted(summary['frames'], 'frame')}, {summary['seconds_per_slot']:g} s"
-    unknown = " per slot; the size of the files is unknown, because no camera is stated"
-    each, total = summary["megabytes"] / slots, summary["megabytes"] / 1000
-    sizes = f" and {each:.0f} MB per slot, {total:.1f} GB in total"
+    sizes = " per slot; the size of the files is unknown, because no camera is stated"
+    if summary["size_is_known"]:
+        megabytes = summary["megabytes"]
+        sizes = f" and {megabytes / slots:.0f} MB per slot, {megabytes / 1000:.1f} GB in total"
     share = summary["coverage"]
     covered = f"the plan covers {share['sun_band_percent']:.0f} % of the year's sun band"
     if share["irradiance_percent"] is not None:
@@ -354,7 +353,7 @@ def sentences(summary: JsonTable) -> list[str]:
     texts = [
         f"{counted(slots, 'slot')} on {counted(days, 'day')}, {summary['first']} to "
         f"{summary['last']}, in {summary['session']}",
-        cost + (sizes if summary["size_is_known"] else unknown),
+        f"{cost}{sizes}",
         covered,
     ]
     if summary["solar_noon"]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError
@@ -21,18 +21,19 @@ from fieldlum.sky.daylight import light_at
 from fieldlum.sky.daylight_kernel import Kernel, facades_of, greedy_hours, light_features
 from fieldlum.weather import Weather
 
-# Days of docs/planning.md.
-DAY_SETS = ("even", "best")
+# Sets of docs/planning.md: sets of hours; and by name of sets of days their seasons (indices of
+# `SEASON_TAGS`), and the number of days before and after each.
+HOUR_SETS = ("even", "best")
 EVENT_SETS = {"9-day": ((0, 1, 3), 1), "12-day": ((0, 1, 2, 3), 1), "4-day": ((0, 1, 2, 3), 0)}
-"Set: (seasons, days before and after the event)."
 SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-solstice")
 
 
 @dataclass(frozen=True, slots=True)
 class DaylightHours:
-    """Moments with the sun above the horizon, and its altitude and azimuth [n] in deg.
+    """Times with the sun above the horizon [n], and the sun's altitude and azimuth [n].
 
-    Angles are true, without refraction; the azimuth is clockwise from true north.
+    Angles are true, without refraction; the azimuth is clockwise from true north. Indices select
+    hours, as with an array.
     """
 
     t_utc: tuple[datetime, ...]
@@ -57,9 +58,10 @@ def hours_of(slots: Sequence[Slot]) -> DaylightHours:
 
 
 def daylight_hours(days: Iterable[date], site: Site) -> DaylightHours:
-    """Return the times hh:30 of local standard time on `days` with the sun's centre up.
+    """Return the hours of some days with the sun's centre above the horizon, in order of time.
 
-    They are in time order; a repeated day counts once.
+    An hour is represented by its middle, hh:30 of local standard time. days: local standard dates;
+    a repeated one counts once.
     """
     midnights = [sun.standard_midnight(day, site.timezone) for day in sorted(set(days))]
     times = tuple(t + timedelta(hours=hour + 0.5) for t in midnights for hour in range(24))
@@ -69,7 +71,7 @@ def daylight_hours(days: Iterable[date], site: Site) -> DaylightHours:
 
 
 def span(first: date, count: int) -> list[date]:
-    """Return `count` consecutive days, beginning with `first`."""
+    """Return the dates of `count` consecutive days, beginning with `first`."""
     return [first + timedelta(days=i) for i in range(count)]
 
 
@@ -84,29 +86,33 @@ def season_date(year: int, which: int, site: Site) -> date:
 def _event_dates(
     seasons: Sequence[int], margin: int, earliest: date, year: int | None, site: Site
 ) -> list[date]:
-    """Return the date of each equinox or solstice: in `year`, else the next possible date.
+    """Return the local standard date of each equinox or solstice, in order of time.
 
-    Without `year`, `margin` days before the date must not be earlier than `earliest`.
+    seasons: as for `season_date`. They are those of `year`; if it is None, the next of which even
+    the day that is `margin` days before is not before `earliest`.
     """
     years = range(earliest.year, earliest.year + 3) if year is None else (year,)
     first = earliest + timedelta(days=margin) if year is None else date.min
     dates = ((season_date(k, which, site) for k in years) for which in seasons)
-    return sorted(next(day for day in each if day >= first) for each in dates)
+    return sorted(next(day for day in of_season if day >= first) for of_season in dates)
 
 
 def days_of_set(
     name: str, site: Site, today: date, start: date | None, year: int | None, days: int | None
 ) -> list[date]:
-    """Return the local standard dates of a capture set, in time order.
+    """Return the local standard dates of a capture set, in order of time.
 
-    name: of `--set`; start, year, days: None if the user states none. 4-day: equinoxes and
-    solstices; 12-day: also the days before and after; 9-day: the 12-day set without September. Each
-    is of `year`, or else the next whose days are not before `start` (or `today`).
+    name: of `--set`; start, year, days: None if the user states none.
 
-    month: `days` (default 31) from `start`; or centred on the March equinox of `year`, or on the
-    next March or September equinox for which no day is before `today`. even, best: `days` (default
-    365) from `start`, else from 1 January of `year`, else from `today`. Raises InputError for
-    another name.
+    - 4-day: equinoxes and solstices; 12-day: with the days before and after; 9-day: the 12-day set
+      without September. They are of `year`, or else the next whose days are not before `start`, or
+      `today` without it.
+    - month: a number of `days` (default 31) from `start`; without it, centred on the March equinox
+      of `year`, or on the next March or September equinox with all days from `today` on.
+    - even, best: a number of `days` (default 365) from `start`, else from 1 January of `year`, else
+      from `today`.
+
+    Raises InputError for another name.
     """
     if name in EVENT_SETS:
         seasons, margin = EVENT_SETS[name]
@@ -119,17 +125,17 @@ def days_of_set(
         equinoxes, half = (0,) if year is not None else (0, 2), count // 2
         middle = _event_dates(equinoxes, half, today, year, site)[0]
         return span(middle - timedelta(days=half), count)
-    if name not in DAY_SETS:
-        sets = ", ".join((*EVENT_SETS, "month", *DAY_SETS))
+    if name not in HOUR_SETS:
+        sets = ", ".join((*EVENT_SETS, "month", *HOUR_SETS))
         raise InputError("capture_set", repr(name), f"one of {sets}", "correct the name")
     first = start or (date(year, 1, 1) if year is not None else today)
     return span(first, days or 365)
 
 
 def season_tag(day: date, site: Site) -> str:
-    """Return the equinox or solstice that is at most a day away from `day`, or "" if none is.
+    """Return the tag of the equinox or solstice that is at most a day from `day`; "" without one.
 
-    The tags are march-equinox, june-solstice, september-equinox and december-solstice.
+    It is one of `SEASON_TAGS`. day: a local standard date.
     """
     for which, tag in enumerate(SEASON_TAGS):
         if abs((day - season_date(day.year, which, site)).days) <= 1:
@@ -148,7 +154,8 @@ def today_at(site: Site, now_utc: datetime) -> date:
 # A sun position is covered if a planned one is at most this far away. Chosen: hourly suns are 15
 # deg apart.
 NEAR_DEG = 10.0
-# Size of the cells in which direct and diffuse irradiance count as equal. Chosen, not measured.
+# Size of the cells in which direct and diffuse irradiance (DNI, DHI) count as equal. Chosen, not
+# measured.
 CELL_WM2 = (100.0, 50.0)
 
 
@@ -172,33 +179,38 @@ class Coverage:
 
 
 def band_directions(site: Site, declinations: int = 41) -> Floats:
-    """Return directions spread evenly over the sky band of the sun, [n, 3].
+    """Return directions spread evenly over the part of the sky that the sun crosses in a year.
 
-    They are unit vectors (x east, y north, z up) with declinations from -23.44 to 23.44 deg, above
-    the horizon. declinations: how many of them; nine times as many hour angles.
+    They are unit vectors (x east, y north, z up) [n, 3] above the horizon, at declinations from
+    -23.44 to 23.44 deg. declinations: number of different ones; each occurs at nine times as many
+    hour angles.
     """
     steps = 2 * (np.arange(declinations) + 0.5) / declinations - 1
-    sine = steps * np.sin(np.radians(sun.OBLIQUITY_DEG))
-    turn = np.linspace(0, 2 * np.pi, 9 * declinations, endpoint=False)
-    south, hour = (grid.ravel() for grid in np.meshgrid(sine, turn))
-    across = np.sqrt(1.0 - south**2)
+    sines = steps * np.sin(np.radians(sun.OBLIQUITY_DEG))  # equal steps have equal areas
+    hour_angles = np.linspace(0, 2 * np.pi, 9 * declinations, endpoint=False)
+    sine, hour = (grid.ravel() for grid in np.meshgrid(sines, hour_angles))
+    cosine = np.sqrt(1.0 - sine**2)  # of the declination
     latitude = np.radians(site.latitude_deg)
-    up = np.sin(latitude) * south + np.cos(latitude) * across * np.cos(hour)
-    north = np.cos(latitude) * south - np.sin(latitude) * across * np.cos(hour)
-    return np.stack([-across * np.sin(hour), north, up], axis=-1)[up > 0]
+    up = np.sin(latitude) * sine + np.cos(latitude) * cosine * np.cos(hour)
+    north = np.cos(latitude) * sine - np.sin(latitude) * cosine * np.cos(hour)
+    return np.stack([-cosine * np.sin(hour), north, up], axis=-1)[up > 0]
 
 
 def sun_band_percent(hours: DaylightHours, site: Site) -> float:
-    """Return the percentage of the sky band of the sun that is within 10 deg of an hour's sun.
+    """Return the share [%] of the sun band that is within 10 deg of the sun of one of some hours.
 
-    The band is that of `band_directions`, weighted by area. Without hours the result is 0.
+    The sun band is the part of the sky that the sun crosses in a year; shares are of its area.
+    Without hours the result is 0.
     """
     band = band_directions(site)
     return 100.0 * float(near_planned(band, hours).mean()) if len(band) else 0.0
 
 
 def near_planned(directions: Floats, hours: DaylightHours) -> Mask:
-    """Return a mask [n], True for directions [n, 3] within 10 deg of the sun of an hour."""
+    """Return a mask [n]: True for directions within 10 deg of the sun of one of some hours.
+
+    directions: unit vectors (x east, y north, z up), [n, 3].
+    """
     planned = sun.direction(hours.altitude_deg, hours.azimuth_deg)
     return (directions @ planned.T).max(axis=1, initial=-1.0) >= np.cos(np.radians(NEAR_DEG))
 
@@ -207,17 +219,21 @@ def near_planned(directions: Floats, hours: DaylightHours) -> Mask:
 # irradiance
 
 
-def _cells(irradiance: ArrayLike) -> NDArray[np.int64]:
-    """Return numbers of the cells of DNI and DHI, from [2, n]."""
-    parts = zip(np.nan_to_num(np.asarray(irradiance, float)), CELL_WM2, strict=True)
-    dni, dhi = (np.floor(value / size).astype(np.int64) for value, size in parts)
-    return 1000 * dni + dhi
+def _sky_cells(dni_wm2: Floats, dhi_wm2: Floats) -> NDArray[np.int64]:
+    """Return the number of the cell of `CELL_WM2` in which each sky's irradiance is, [n].
+
+    dni_wm2, dhi_wm2: direct and diffuse irradiance [n]; NaN counts as 0.
+    """
+    dni_cell = np.floor(np.nan_to_num(dni_wm2) / CELL_WM2[0])
+    dhi_cell = np.floor(np.nan_to_num(dhi_wm2) / CELL_WM2[1])
+    return (1000 * dni_cell + dhi_cell).astype(np.int64)
 
 
 def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -> Coverage:
-    """Return how much of the year's sun band some hours cover; with weather, also of its daylight.
+    """Return the shares of a year that some planned hours cover.
 
-    The shares by weather are None without weather, and without hours.
+    weather: a year of the site. The shares of its daylight are None without weather, and without
+    hours.
     """
     band = sun_band_percent(hours, site)
     if weather is None or not len(hours):
@@ -225,18 +241,19 @@ def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -
     at = sun.position(weather.t_utc, site)
     lit = (at.altitude_deg > 0) & (weather.dhi_wm2 > 0)
     planned = weather.at(hours.t_utc)
-    skies = np.stack([planned.dni_wm2, planned.dhi_wm2])[:, np.isfinite(planned.dni_wm2)]
-    captured = np.isin(_cells([weather.dni_wm2[lit], weather.dhi_wm2[lit]]), _cells(skies))
+    has_weather = np.isfinite(planned.dni_wm2)
+    planned_cells = _sky_cells(planned.dni_wm2[has_weather], planned.dhi_wm2[has_weather])
+    same_sky = np.isin(_sky_cells(weather.dni_wm2[lit], weather.dhi_wm2[lit]), planned_cells)
     near = near_planned(sun.direction(at.altitude_deg[lit], at.azimuth_deg[lit]), hours)
-    return Coverage(band, 100.0 * float(captured.mean()), 100.0 * float((captured & near).mean()))
+    return Coverage(band, 100.0 * float(same_sky.mean()), 100.0 * float((same_sky & near).mean()))
 
 
 # ----------------------------------------------------------------------------------------------
 # hours that are spread evenly over suns and skies, or that together teach the most
 
 
-# The paper's normalisation of irradiances (Liu, Colburn and Inanici 2020). [W/m2]
-_FULL_WM2 = (1100.0, 700.0)  # DNI, DHI
+# Irradiances that count as 1 in `even_hours`: DNI and DHI (Liu, Colburn and Inanici 2020).
+_FULL_WM2 = (1100.0, 700.0)
 # Number of hours that represent the weather year, and of candidates for the greedy choice, whose
 # memory grows with their square. Chosen so that the ranking is stable; not measured.
 YEAR_HOURS = 800
@@ -244,11 +261,11 @@ POOL_HOURS = 2200
 
 
 def medoids(points: Floats, count: int, rng: np.random.Generator) -> Indices:
-    """Return indices [count], ascending, of the points nearest to the centres of k-means clusters.
+    """Return ascending indices of the points nearest to the centres of k-means clusters, [count].
 
-    points : [n, k]. Each of `count` clusters has one point; instead of one of an empty cluster, the
-    point furthest from its own centre is taken. All points are returned if there are no more than
-    `count`.
+    points : [n, k]; count : number of clusters; rng : of their first centres. For an empty cluster,
+    the point furthest from its own centre is taken. All indices are returned if there are no more
+    than `count` points.
     """
     from scipy.cluster.vq import kmeans2
 
@@ -258,10 +275,10 @@ def medoids(points: Floats, count: int, rng: np.random.Generator) -> Indices:
         # Empty clusters are filled below.
         warnings.filterwarnings("ignore", message="One of the clusters is empty")
         centres, label = kmeans2(points, count, iter=30, minit="++", rng=rng)
-    away = ((points - centres[label]) ** 2).sum(axis=1)
-    order = np.lexsort((away, label))
+    distance2 = ((points - centres[label]) ** 2).sum(axis=1)
+    order = np.lexsort((distance2, label))  # by cluster, then by distance
     nearest = order[np.unique(label[order], return_index=True)[1]]
-    furthest = np.argsort(-away)
+    furthest = np.argsort(-distance2)
     others = furthest[~np.isin(furthest, nearest)]
     return np.sort(np.concatenate([nearest, others[: count - len(nearest)]]))
 
@@ -272,33 +289,35 @@ def even_hours(
     """Return ascending indices of at most `count` hours whose suns and skies are spread evenly.
 
     They are k-means medoids over sun direction, DNI and DHI (Liu, Colburn and Inanici 2020); hours
-    without weather are not chosen. If `weather` is None: over sun direction alone.
+    without weather are not chosen. Without a `weather` year: over sun direction alone. rng : of the
+    clusters.
     """
-    suns = sun.direction(hours.altitude_deg, hours.azimuth_deg)
+    suns = sun.direction(hours.altitude_deg, hours.azimuth_deg)  # [n, 3]
     if weather is None:
         return medoids(suns, count, rng)
-    sky_now = weather.at(hours.t_utc)
-    with_weather = np.flatnonzero(np.isfinite(sky_now.dni_wm2 + sky_now.dhi_wm2))
-    sky = np.stack([sky_now.dni_wm2, sky_now.dhi_wm2], axis=-1) / _FULL_WM2
+    light = weather.at(hours.t_utc)
+    with_weather = np.flatnonzero(np.isfinite(light.dni_wm2 + light.dhi_wm2))
+    sky = np.stack([light.dni_wm2, light.dhi_wm2], axis=-1) / _FULL_WM2  # [n, 2]
     # Halve the direction, so that each of its axes has a range of one, as the irradiances have.
-    points = np.concatenate([suns / 2, sky], axis=1)  # (n, 5)
+    points = np.concatenate([suns / 2, sky], axis=1)  # [n, 5]
     return with_weather[medoids(points[with_weather], count, rng)]
 
 
 def best_hours(
     hours: DaylightHours, weather: Weather, site: Site, room: Room | None, count: int
 ) -> Indices:
-    """Return ascending indices of `count` hours that together most lower the year's uncertainty.
+    """Return ascending indices of `count` hours whose captures would most lower the uncertainty.
 
-    It is the variance, over the weather year, of a covariance kernel of daylight for the facades of
-    `room`. The choice is greedy; hours without daylight in the weather are not chosen.
+    It is the variance of the daylight of the weather year that remains, by a covariance kernel for
+    the facades of `room`, after the captures. The choice is greedy: each hour is the best next to
+    those already chosen. Hours without daylight in the weather are not chosen.
     """
     lit = weather.daylight()
     year = lit[:: max(len(lit) // YEAR_HOURS, 1)]
-    sky = weather.at(hours.t_utc)
-    pool = np.flatnonzero(np.isfinite(sky.dni_wm2 + sky.dhi_wm2) & (sky.dhi_wm2 > 0))
-    pool = pool[:: max(-(-len(pool) // POOL_HOURS), 1)]
+    light = weather.at(hours.t_utc)
+    pool = np.flatnonzero(np.isfinite(light.dni_wm2 + light.dhi_wm2) & (light.dhi_wm2 > 0))
+    pool = pool[:: max(-(-len(pool) // POOL_HOURS), 1)]  # rounded up, at most POOL_HOURS remain
     of_year = light_at(year.t_utc, site, year.dni_wm2, year.dhi_wm2)
-    of_pool = light_at(hours[pool].t_utc, site, sky.dni_wm2[pool], sky.dhi_wm2[pool])
+    of_pool = light_at(hours[pool].t_utc, site, light.dni_wm2[pool], light.dhi_wm2[pool])
     features = (light_features(of_year), light_features(of_pool))
     return np.sort(pool[greedy_hours(Kernel(facades_of(room)), *features, count)])

@@ -16,16 +16,16 @@ from fieldlum.session.plan_file import read_plan
 from fieldlum.session.slot_states import MAKEUP, makeups_by_slot, read_slot_states
 from fieldlum.sky import sun
 
-# Half of a day's change at the equinoxes, so that every passage of a declination has such a day.
-# Chosen as that half.
+# Declinations that count as equal: half of a day's change at the equinoxes, so that each of the two
+# days of a year with about the same declination is found.
 SAME_DECLINATION_DEG = 0.2
-# The equation of time differs by up to half an hour between the two passages: 7.5 deg of hour
-# angle. Chosen with a margin.
+# Largest angle between the suns of a missed and a make-up slot. The equation of time differs by up
+# to half an hour between the two days: 7.5 deg of hour angle. Chosen with a margin.
 MAX_OFF_DEG = 12.0
 
 
 def captured_ids(session: Session) -> set[str]:
-    """Return the ids of the slots whose bracket was captured completely, by the capture records."""
+    """Return the ids of the slots with a complete bracket, by the session's journal."""
     states = read_slot_states(session).slots
     return {slot for slot, state in states.items() if state.outcome == "done"}
 
@@ -33,7 +33,7 @@ def captured_ids(session: Session) -> set[str]:
 def make_up(
     missed: Sequence[Slot], planned: Sequence[Slot], setup: SiteFile, now_utc: datetime
 ) -> tuple[list[Slot], list[JsonTable], list[str]]:
-    """Return make-up slots, their pairs, and the ids of missed slots without one.
+    """Return make-up slots for missed ones, their pairs, and the ids of missed slots without one.
 
     A pair has the keys missed and slot (ids), and sun_off_deg, the angle between the two suns.
 
@@ -45,46 +45,50 @@ def make_up(
     days = span(sun.standard_date(now_utc, site.timezone) + timedelta(days=1), 370)
     noon = timedelta(hours=12)
     midnights = [sun.standard_midnight(day, site.timezone) for day in days]
-    declination = sun.declination_deg([midnight + noon for midnight in midnights])
+    declinations_deg = sun.declination_deg([midnight + noon for midnight in midnights])
     added: list[Slot] = []
     pairs: list[JsonTable] = []
     lost: list[str] = []
     for slot in missed:
         day = sun.standard_date(slot.t_utc, site.timezone)
         midnight = sun.standard_midnight(day, site.timezone)
-        off = np.abs(declination - sun.declination_deg([midnight + noon])[0])
-        same = np.flatnonzero(off <= SAME_DECLINATION_DEG).tolist()
+        difference_deg = np.abs(declinations_deg - sun.declination_deg([midnight + noon])[0])
+        same = np.flatnonzero(difference_deg <= SAME_DECLINATION_DEG).tolist()
         times = [midnights[i] + (slot.t_utc - midnight) for i in same]
-        free = _first_free(slot, times, occupied, site)
-        if free is None:
+        first_free = _first_free(slot, times, occupied, site)
+        if first_free is None:
             lost.append(slot.id)
             continue
-        new, off_deg = free
-        occupied.add(new.id)
-        added.append(new)
-        pairs.append({"missed": slot.id, "slot": new.id, "sun_off_deg": round(off_deg, 1)})
+        makeup, off_deg = first_free
+        occupied.add(makeup.id)
+        added.append(makeup)
+        pairs.append({"missed": slot.id, "slot": makeup.id, "sun_off_deg": round(off_deg, 1)})
     return added, pairs, lost
 
 
 def _first_free(
-    slot: Slot, times: Sequence[datetime], occupied: set[str], site: Site
+    missed: Slot, times: Sequence[datetime], occupied: set[str], site: Site
 ) -> tuple[Slot, float] | None:
-    """Return the first free slot with the sun near that of a missed slot, and the angle [deg].
+    """Return the make-up slot for a missed one, and the angle between their suns [deg].
 
-    slot: the missed one; times: candidates in UTC, in order; occupied: ids of the slots of the
-    plan. None if no free time has such a sun.
+    It is at the first of `times` (UTC) that has no slot and the sun within 12 deg of the missed
+    one; None if there is none. occupied: ids of the slots of the plan.
     """
     at = sun.position(times, site)
-    old = sun.direction(slot.sun_altitude_deg, slot.sun_azimuth_deg)
-    cosine = sun.direction(at.altitude_deg, at.azimuth_deg) @ old
-    off = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    for i in np.flatnonzero((at.altitude_deg > 0) & (off <= MAX_OFF_DEG)).tolist():
+    missed_sun = sun.direction(missed.sun_altitude_deg, missed.sun_azimuth_deg)
+    cosine = sun.direction(at.altitude_deg, at.azimuth_deg) @ missed_sun
+    off_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    for i in np.flatnonzero((at.altitude_deg > 0) & (off_deg <= MAX_OFF_DEG)).tolist():
         if slot_id(times[i]) not in occupied:
-            others = [tag for tag in slot.tags if not tag.startswith(MAKEUP)]
-            tags = (*others, MAKEUP + slot.id)
-            altitude, azimuth = float(at.altitude_deg[i]), float(at.azimuth_deg[i])
-            angles = {"sun_altitude_deg": altitude, "sun_azimuth_deg": azimuth}
-            return replace(slot, t_utc=times[i], **angles, tags=tags), float(off[i])
+            others = [tag for tag in missed.tags if not tag.startswith(MAKEUP)]
+            makeup = replace(
+                missed,
+                t_utc=times[i],
+                sun_altitude_deg=float(at.altitude_deg[i]),
+                sun_azimuth_deg=float(at.azimuth_deg[i]),
+                tags=(*others, MAKEUP + missed.id),
+            )
+            return makeup, float(off_deg[i])
     return None
 
 
@@ -94,18 +98,20 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
     If a make-up was missed, the original slot gets another one. No slot is removed. If slots are
     added, the earlier plan is stored as plan.N.csv, with N its revision (0 for the first).
 
-    The keys are those of `--json`. missed: number of past slots captured neither themselves nor by
-    a make-up; made_up: pairs added now; lost: ids of missed slots that no hour of the coming year
-    can repeat; already: number with a make-up that is still to come; recovered: number whose
-    make-up was captured; now_utc decides what is past; sun_band_percent: covered part of the sun
-    band, "planned", "without" the missed slots, and "with" the make-ups; revision: of the plan, 0
-    for the first.
+    The keys are those of `--json`. missed: number of slots before now_utc that were captured
+    neither themselves nor by a make-up; made_up: pairs added now, as by `make_up`; lost: ids of
+    missed slots that no hour of the coming year can repeat; already: number with a make-up that is
+    still to come; recovered: number whose make-up was captured; sun_band_percent: covered part of
+    the sun band, "planned", "without" the missed slots, and "with" the make-ups; revision: of the
+    plan, 0 for the first.
     """
     now_utc = now_utc.astimezone(UTC)
     about = _complete_interrupted_replan(session)
     setup, slots, captured = session.site_file(), session.slots(), captured_ids(session)
     grace, makeups = session.grace, makeups_by_slot(slots)
     others = captured.union(makeup.id for several in makeups.values() for makeup in several)
+    # original slots that are past and not captured; of these, without a captured make-up; of
+    # these, without a make-up that is still to come
     past = [s for s in slots if s.id not in others and s.t_utc + grace < now_utc]
     missed = [s for s in past if not any(m.id in captured for m in makeups.get(s.id, ()))]
     due = [s for s in missed if all(m.t_utc + grace < now_utc for m in makeups.get(s.id, ()))]
@@ -130,11 +136,16 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
 
 
 def _older_plan(session: Session, about: PlanTable) -> Path:
+    """Return the path to which the present plan is copied; about: its table [plan]."""
     return session.root / f"plan.{about.get('revision', 0)}.csv"
 
 
 def _record_plan(session: Session, about: PlanTable) -> PlanTable:
-    """Write the new plan's sha256 and length into session.toml; those of older plans remain."""
+    """Write the table [plan] of a plan.csv that was changed into session.toml, and return it.
+
+    about: the table of the plan before. The new one has the next revision, and the SHA-256 of the
+    new plan and of all earlier ones.
+    """
     older = [*about.get("older_sha256", []), about.get("sha256", "")]
     new: PlanTable = {
         **about,
@@ -148,7 +159,10 @@ def _record_plan(session: Session, about: PlanTable) -> PlanTable:
 
 
 def _complete_interrupted_replan(session: Session) -> PlanTable:
-    """Return the table [plan] of session.toml; first complete a re-plan that was interrupted."""
+    """Return the table [plan] of session.toml; first complete a make-up plan that was interrupted.
+
+    It was if plan.csv was replaced, and session.toml not yet.
+    """
     about = session.table().get("plan", {})
     if _older_plan(session, about).exists() and sha256(session.plan) != about.get("sha256"):
         return _record_plan(session, about)
@@ -156,7 +170,7 @@ def _complete_interrupted_replan(session: Session) -> PlanTable:
 
 
 def sentences(answer: JsonTable) -> list[str]:
-    """Return the make-up plan as lines to print: missed, added and lost slots, and the coverage."""
+    """Return what `run` returned as sentences to print."""
     recovered, made_up, lost = answer["recovered"], answer["made_up"], answer["lost"]
     again = f"; {recovered} missed slots have been made up for" if recovered else ""
     if not answer["missed"]:

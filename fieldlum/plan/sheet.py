@@ -1,6 +1,6 @@
-"""Write printable sheets, one page per day.
+"""Write a plan for people: printable sheets, one page per day, and a calendar.
 
-A page has boxes to tick, the sun's path and the shutter list.
+A sheet has boxes to tick, the sun's path and the shutter list.
 """
 
 from __future__ import annotations
@@ -31,30 +31,27 @@ if TYPE_CHECKING:
 
 
 def by_day(slots: Sequence[Slot], site: Site) -> list[tuple[date, list[Slot]]]:
-    """Return (date, slots) for each local standard date with slots, both in time order."""
+    """Return each local standard date that has slots, with its slots; both in order of time."""
     ordered = sorted(slots, key=lambda slot: slot.t_utc)
     groups = groupby(ordered, key=lambda slot: sun.standard_date(slot.t_utc, site.timezone))
     return [(day, list(group)) for day, group in groups]
 
 
 def ics(
-    slots: Sequence[Slot],
-    site: Site,
-    seconds_per_slot: float,
-    made_utc: datetime,
-    sequence: int = 0,
+    slots: Sequence[Slot], site: Site, seconds_per_slot: float, made_utc: datetime, revision: int
 ) -> bytes:
-    """Return an iCalendar file (RFC 5545) with one event for each local standard day with slots.
+    """Return the content of an iCalendar file (RFC 5545) with an event for each day with slots.
 
     An event ends `seconds_per_slot` (at least a minute) after its last slot begins; its alarm is 20
-    minutes before the first, to set up the camera. made_utc: time of writing; sequence: how often
-    the plan was changed. A calendar replaces an event of the same day, as it has the same UID.
+    minutes before the first, to set up the camera. made_utc: time of writing; revision: of the
+    plan, 0 for the first. Events of later revisions replace those of the same day, because they
+    have the same UID.
     """
     from icalendar import Alarm, Calendar, Event
 
     where = f"{site.name}|{site.latitude_deg:.4f}|{site.longitude_deg:.4f}"
-    place, zone = hashlib.sha256(where.encode()).hexdigest()[:12], ZoneInfo(site.timezone)
-    last_s = timedelta(seconds=max(round(seconds_per_slot), 60))
+    place_id, zone = hashlib.sha256(where.encode()).hexdigest()[:12], ZoneInfo(site.timezone)
+    duration = timedelta(seconds=max(round(seconds_per_slot), 60))  # of the last slot
     calendar = Calendar()
     calendar.add("prodid", "-//fieldlum//capture plan//EN")
     calendar.add("version", "2.0")
@@ -62,11 +59,11 @@ def ics(
     for day, group in by_day(slots, site):
         event, alarm = Event(), Alarm()
         for name, value in (
-            ("uid", f"{day:%Y%m%d}-{place}@fieldlum"),
+            ("uid", f"{day:%Y%m%d}-{place_id}@fieldlum"),
             ("dtstamp", made_utc),
-            ("sequence", sequence),
+            ("sequence", revision),
             ("dtstart", group[0].t_utc),
-            ("dtend", group[-1].t_utc + last_s),
+            ("dtend", group[-1].t_utc + duration),
             ("summary", f"Capture {site.name}: {len(group)} brackets"),
             ("description", "\n".join(_event_line(slot, zone) for slot in group)),
             ("location", f"{site.name} ({site.latitude_deg:g}, {site.longitude_deg:g})"),
@@ -81,6 +78,7 @@ def ics(
 
 
 def _event_line(slot: Slot, zone: ZoneInfo) -> str:
+    """Return a slot as a line of text: its time in a zone and in UTC, its sun and its tags."""
     tags = f"; {' '.join(slot.tags)}" if slot.tags else ""
     return (
         f"{slot.t_utc.astimezone(zone):%H:%M %Z} ({utc_text(slot.t_utc)}) sun "
@@ -95,10 +93,10 @@ def html(
     weather: Weather | None = None,
     notes: Sequence[str] = (),
 ) -> str:
-    """Return one self-contained page of HTML: room and coverage plots, then a sheet for every day.
+    """Return a plan as one page of HTML without other files: plots, then a sheet for each day.
 
-    cost: seconds and megabytes of one slot; weather: for a second coverage plot, by irradiance;
-    notes: texts to print.
+    cost: seconds and megabytes of one slot; weather: a year, for a second coverage plot, by
+    irradiance; notes: sentences to print above the plots.
     """
     from jinja2 import Environment, PackageLoader, select_autoescape
 
@@ -120,26 +118,26 @@ def html(
 
 
 def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) -> list[str]:
-    """Return the drawing of the room and the coverage plots as inline SVG.
+    """Return the drawing of the room, if it has one, and the coverage plots, as inline SVG.
 
-    weather: of the year, for a plot of its irradiance; None for none.
+    weather: a year, for a plot of its irradiance; None for no such plot.
     """
     hours, site = days.hours_of(slots), setup.site
-    share, near = days.sun_band_percent(hours, site), f"{days.NEAR_DEG:g} deg of a captured sun"
+    share = days.sun_band_percent(hours, site)
     title = f"{site.name}: {len(hours)} captures reach {share:.0f} % of the year's sun band "
-    title += f"(dark: within {near})"
+    title += f"(dark: within {days.NEAR_DEG:g} deg of a captured sun)"
     chart = plot_style.svg_of(sky_chart(hours, setup))
-    texts = [room_svg(setup), f"<p>{escape(title)}</p>{chart}"]
+    figures = [room_svg(setup), f"<p>{escape(title)}</p>{chart}"]
     if weather is not None:
-        texts.append(plot_style.svg_of(irradiance_figure(hours, site, weather)))
-    return [text for text in texts if text]
+        figures.append(plot_style.svg_of(irradiance_figure(hours, site, weather)))
+    return [figure for figure in figures if figure]
 
 
 def irradiance_figure(hours: days.DaylightHours, site: Site, weather: Weather) -> Figure:
-    """Draw how often the weather year has each direct and diffuse irradiance, with planned hours.
+    """Return a plot of how often a weather year has each direct and diffuse irradiance.
 
-    As Figures 16 and 17 of Liu, Colburn and Inanici (2020). The planned hours have the irradiance
-    that the weather year has then.
+    hours: planned ones, which are points at the irradiance that the weather year has then. As
+    Figures 16 and 17 of Liu, Colburn and Inanici (2020).
     """
     from matplotlib.colors import LogNorm
 
@@ -147,8 +145,9 @@ def irradiance_figure(hours: days.DaylightHours, site: Site, weather: Weather) -
     axes = figure.add_subplot()
     lit = (sun.position(weather.t_utc, site).altitude_deg > 0) & (weather.dhi_wm2 > 0)
     dni, dhi = weather.dni_wm2[lit], weather.dhi_wm2[lit]
-    ends = zip((1150, max(float(dhi.max()), 500) + 25), days.CELL_WM2, strict=True)
-    bins = [np.arange(0, end, size / 2) for end, size in ends]
+    largest_wm2 = (1150, max(float(dhi.max()), 500) + 25)  # of the axes: DNI, DHI
+    sizes = zip(largest_wm2, days.CELL_WM2, strict=True)
+    bins = [np.arange(0, largest, size / 2) for largest, size in sizes]
     *_, picture = axes.hist2d(dni, dhi, bins=bins, norm=LogNorm(), cmap="YlOrBr", rasterized=True)
     figure.colorbar(picture, ax=axes, label="hours per year in a cell")
     planned = weather.at(hours.t_utc)
@@ -166,10 +165,10 @@ def irradiance_figure(hours: days.DaylightHours, site: Site, weather: Weather) -
 def _sheet(
     day: date, slots: list[Slot], setup: SiteFile, cost: tuple[float, float], so_far: int
 ) -> dict[str, object]:
-    """Return what the template shows of a day.
+    """Return the texts of a day's sheet, by the names of the template sheet.html.j2.
 
-    slots: of the day; cost: seconds and megabytes of a bracket; so_far: number of brackets up to
-    the day's end.
+    slots: of the day; cost: seconds and megabytes of one slot; so_far: number of slots up to the
+    day's end.
     """
     zone = ZoneInfo(setup.site.timezone)
     tags = sorted({tag for slot in slots for tag in slot.tags if tag in days.SEASON_TAGS})
@@ -197,7 +196,10 @@ def _sheet(
 
 
 def _row(slot: Slot, local: datetime, day: date) -> dict[str, object]:
-    """Return what the template shows of a slot; local: its time in the site's zone."""
+    """Return the texts of a slot's row in a sheet, by the names of the template sheet.html.j2.
+
+    local: the slot's time in the site's zone; day: local standard date of the sheet.
+    """
     return {
         "local": f"{local:%H:%M}",
         "zone": f"{local:%Z}",
@@ -210,12 +212,12 @@ def _row(slot: Slot, local: datetime, day: date) -> dict[str, object]:
 
 
 def sky_chart(hours: days.DaylightHours, setup: SiteFile, day: date | None = None) -> Figure:
-    """Draw a sky chart (north up, east right) of planned suns and the paths of the seasons.
+    """Return a sky chart (north up, east right) of planned suns and the sun's paths by season.
 
-    day: its own path, with the hour of each planned sun and marks in the directions of the camera's
-    headings; None: the year's sun band, where a planned sun is near in another colour (Figure 15 of
-    Liu, Colburn and Inanici 2020). A chart of azimuth against altitude would fail in the tropics,
-    where the sun passes the zenith on either side.
+    hours: the planned ones. day: adds the path of that day, the hour of each planned sun, and marks
+    in the directions of the camera's headings; None: adds the year's sun band, in another colour
+    where a planned sun is near (Figure 15 of Liu, Colburn and Inanici 2020). A chart of azimuth
+    against altitude would fail in the tropics, where the sun passes the zenith on either side.
     """
     site, camera = setup.site, setup.camera
     year = (day or (hours.t_utc[0] if len(hours) else datetime.now(UTC))).year
@@ -235,15 +237,16 @@ def sky_chart(hours: days.DaylightHours, setup: SiteFile, day: date | None = Non
     elif "heading_deg" not in camera.assumed:
         for heading in camera.headings or (camera.heading_deg,):
             axes.plot(np.radians(heading), 85, marker=(3, 0, -heading), color=BLUE, gid="view")
+    # March equinox, and both solstices
     paths = [(days.season_date(year, which, site), AMBER, 1.0) for which in (0, 1, 3)]
-    for date_, colour, width in [*paths, *([(day, RED, 2.0)] if day else [])]:
-        start = sun.standard_midnight(date_, site.timezone)
-        at = sun.position([start + timedelta(minutes=10 * k) for k in range(145)], site)
+    for path_day, colour, width in [*paths, *([(day, RED, 2.0)] if day else [])]:
+        midnight = sun.standard_midnight(path_day, site.timezone)
+        at = sun.position([midnight + timedelta(minutes=10 * k) for k in range(145)], site)
         zenith_deg = np.where(at.altitude_deg > 0, 90 - at.altitude_deg, np.nan)
         axes.plot(np.radians(at.azimuth_deg), zenith_deg, color=colour, lw=width)
-    places = (np.radians(hours.azimuth_deg), 90 - hours.altitude_deg)
-    axes.plot(*places, "o", ms=5 if day else 2, color=RED)
-    for t_utc, *place in zip(hours.t_utc, *places, strict=True) if day else ():
+    points = (np.radians(hours.azimuth_deg), 90 - hours.altitude_deg)
+    axes.plot(*points, "o", ms=5 if day else 2, color=RED)
+    for t_utc, *point in zip(hours.t_utc, *points, strict=True) if day else ():
         label = f"{t_utc.astimezone(ZoneInfo(site.timezone)):%H}"
-        axes.annotate(label, place, (0, 5), textcoords="offset points", ha="center", size=8)
+        axes.annotate(label, point, (0, 5), textcoords="offset points", ha="center", size=8)
     return figure

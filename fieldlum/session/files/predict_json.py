@@ -49,7 +49,8 @@ class YearOccupancy(Struct, frozen=True):
 class YearWeather(Struct, frozen=True):
     """The weather of a year.
 
-    name: of the file; synthetic: whether it was generated; repairs: a text on each repair of it.
+    name: of its file; synthetic: whether it was computed without a file; repairs: a text on each
+    repair of the file.
     """
 
     name: str = ""
