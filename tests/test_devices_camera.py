@@ -119,7 +119,7 @@ def test_the_sun_keeps_its_energy() -> None:
         panorama = replace(uniform(0.0), sun=SunSource(altitude, azimuth, 80_000.0))
         geometry = lens_geometry(profile.lens[0], 0.0)
         image = optics.on_sensor(
-            panorama, [optics.lens_sampling(geometry, (484, 484), (46, 92))], (484, 484)
+            panorama, [optics.lens_sampling(geometry, (484, 484), (46, 92), None)], (484, 484)
         )[..., 0]
         rows, columns = np.mgrid[0.5:484, 0.5:484]
         omega = optics.pixel_solid_angle_sr(geometry, columns, rows)

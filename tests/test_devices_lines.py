@@ -495,7 +495,7 @@ def test_the_driver_on_a_pty() -> None:
     device.close()
     instrument.unplug()
     with pytest.raises(DeviceError, match="/dev/"):
-        FramedMeter(instrument.port, CLOCK.sleep, parity="N")
+        FramedMeter(instrument.port, CLOCK.sleep, parity="N", head=None)
 
 
 def t10_answer(head: int = 3, status: bytes = b"0 30", value: bytes = b"+45674") -> bytes:

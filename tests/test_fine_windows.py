@@ -110,7 +110,7 @@ def test_a_half_hidden_disc_is_half_a_disc() -> None:
         dark = np.zeros((20, 40), np.float32)
         panorama = Panorama(dark, 180.0, sun=sun, attributes=attributes)
         images.append(
-            optics.on_sensor(panorama, [optics.lens_sampling(lens, SENSOR, (20, 40))], SENSOR)
+            optics.on_sensor(panorama, [optics.lens_sampling(lens, SENSOR, (20, 40), None)], SENSOR)
         )
     full, half = (image[..., 0].astype(float) for image in images)
     assert half.sum() == pytest.approx(full.sum(), rel=1e-3)  # the source states the visible part

@@ -12,7 +12,7 @@ from functools import reduce
 from operator import xor
 from typing import Annotated, Literal
 
-from msgspec import Meta, Struct, structs
+from msgspec import Meta, Struct
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import DeviceUri, IlluminanceMeter, InstrumentInfo, retry
@@ -149,12 +149,7 @@ class FramedMeter(IlluminanceMeter):
     """
 
     def __init__(
-        self,
-        place: str,
-        sleep: Callable[[float], None],
-        *,
-        parity: _Parity = "E",
-        head: int | None = None,
+        self, place: str, sleep: Callable[[float], None], *, parity: _Parity, head: int | None
     ) -> None:
         """Open the port and prepare the meter; head: number of a T-10A's head, None: a CL-200A."""
         self._sleep, self._head = sleep, head
@@ -223,12 +218,13 @@ class _ChainOptions(_Options):
 def open_meter(uri: DeviceUri, *, clock: Clock) -> FramedMeter:
     """Open the meter of ``cl200a:/dev/serial/by-id/...`` or ``t10a:/dev/serial/by-id/...?head=3``.
 
-    Options: parity, E (default) or N; of t10a also head, 0 (default) to 29. Raises DeviceError for
+    clock: waits for the meter. Options: parity, E (default) or N; of t10a also head, 0 (default) to
+    29. Raises DeviceError for
     an unknown option or value, a missing port, or no answer.
     """
-    kind = _ChainOptions if uri.scheme == "t10a" else _Options
-    options = structs.asdict(uri.read(kind))
+    options = uri.read(_ChainOptions if uri.scheme == "t10a" else _Options)
+    head = options.head if isinstance(options, _ChainOptions) else None
     if not uri.place:
         expected = f"expected a URI like {uri.scheme}:/dev/ttyUSB0"
         raise DeviceError(f"{uri.text}: no port; {expected}")
-    return FramedMeter(uri.place, clock.sleep, **options)
+    return FramedMeter(uri.place, clock.sleep, parity=options.parity, head=head)

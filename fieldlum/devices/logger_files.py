@@ -413,7 +413,8 @@ def _read(
                 why = strict_csv.surplus_cause(row, count, right_rows[-50:]) if by_commas else ""
                 other_counts += [] if why else [(number, len(row))]
                 raise ValueError(f"{len(row)} values, expected {count}{why}")
-            values = {q: _number(row[i], q, factor[q], has_commas) for q, i in index.items()}
+            numbers = [_number(row[i], q, factor[q], has_commas) for q, i in index.items()]
+            values: dict[str, Any] = dict(zip(index, numbers, strict=True))
             raw = ",".join(row[i] for i in sorted(index.values()))
             samples.append(IrradianceSample(times.utc(row), **values, raw=raw))
             right_rows.append(row)

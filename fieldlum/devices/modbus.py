@@ -294,18 +294,19 @@ class ModbusPyranometer(Pyranometer):
         quantity, and `raw` the polled registers. Raises DeviceError if an instrument does not
         answer, or if its answer is damaged or impossible.
         """
-        sample = IrradianceSample(self._clock.now())
-        faults: list[str] = []
-        raw: list[str] = []
-        for quantity, unit in self._units.items():
-            answer, words = self._ask(unit, self._profile.poll)
-            raw.append(words)
-            sample = replace(sample, **{f"{quantity}_wm2": answer.values["irradiance_wm2"]})
-            if sample.temperature_c is None:
-                sample = replace(sample, temperature_c=answer.values.get("temperature_c"))
-            if answer.status:
-                faults.append(f"{quantity}: {answer.status}")
-        return replace(sample, status="; ".join(faults), raw="; ".join(raw))
+        t_utc, poll = self._clock.now(), self._profile.poll
+        answers = {quantity: self._ask(unit, poll) for quantity, unit in self._units.items()}
+        decoded = {quantity: answer for quantity, (answer, _) in answers.items()}
+        light = {f"{name}_wm2": answer.values["irradiance_wm2"] for name, answer in decoded.items()}
+        faults = [f"{name}: {answer.status}" for name, answer in decoded.items() if answer.status]
+        temperatures = (answer.values.get("temperature_c") for answer in decoded.values())
+        return IrradianceSample(
+            t_utc,
+            **light,
+            temperature_c=next((t for t in temperatures if t is not None), None),
+            status="; ".join(faults),
+            raw="; ".join(raw for _, raw in answers.values()),
+        )
 
     def _ask(self, unit: int, blocks: tuple[RegisterBlock, ...]) -> tuple[Decoded, str]:
         """Return the values in some register blocks of one instrument, and its polled registers.
@@ -371,9 +372,7 @@ def _connected(place: str, line: SerialLine, timeout_s: float) -> tuple[Any, str
     return client, port.name
 
 
-def open_pyranometer(
-    uri: DeviceUri, clock: Clock, session: Session | None = None
-) -> ModbusPyranometer:
+def open_pyranometer(uri: DeviceUri, clock: Clock, session: Session | None = None) -> Pyranometer:
     """Open the Modbus pyranometer, or the several of one kind on its bus, that a URI names.
 
     clock: gives the times of readings; session: not used. Raises DeviceError for unknown options or

@@ -120,9 +120,7 @@ class Spn1(Pyranometer):
     Raises DeviceError if the port cannot be opened or the instrument does not answer as an SPN1.
     """
 
-    def __init__(
-        self, place: str, clock: Clock, *, baud: int = 9600, timeout_s: float = 2.0
-    ) -> None:
+    def __init__(self, place: str, clock: Clock, *, baud: int = 9600, timeout_s: float) -> None:
         """Open the port `place`, wake the instrument and read its description.
 
         timeout_s: longest wait for an answer.

@@ -50,7 +50,7 @@ class ThetaCamera(Camera):
         self._address, self._clock = address.rstrip("/"), clock
         self._delete, self._timeout_s = delete, timeout_s
         about, state = self._ask("/osc/info"), self._ask("/osc/state", {}).get("state", {})
-        self._set(_MANUAL)
+        self._command("camera.setOptions", {"options": _MANUAL}, timeout_s)
         offers = [f"{name}Support" for name in _SETTINGS]
         options = self._options(*offers, "remainingPictures", "dateTimeZone")
         # values that the camera offers: shutter times [s], ISO, f-numbers
@@ -89,7 +89,7 @@ class ThetaCamera(Camera):
         """
         self.refuse_turning(heading_deg)
         settings = self._settings_for(exposure)
-        self._set({**_MANUAL, **settings})
+        self._command("camera.setOptions", {"options": {**_MANUAL, **settings}}, self._timeout_s)
         shown = self._options(*settings)
         for name, value in settings.items():
             if abs(float(shown.get(name, 0.0)) - value) > 1e-3 * value:
@@ -134,10 +134,6 @@ class ThetaCamera(Camera):
 
     # --------------------------------------------------------------------------------------
     # protocol
-
-    def _set(self, options: Mapping[str, object]) -> None:
-        """Set options of the camera, by the API's names."""
-        self._command("camera.setOptions", {"options": options}, self._timeout_s)
 
     def _options(self, *names: str) -> Reply:
         """Return the present values of some options, by the API's names."""

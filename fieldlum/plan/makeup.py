@@ -81,13 +81,9 @@ def _first_free(
     for i in np.flatnonzero((at.altitude_deg > 0) & (off_deg <= MAX_OFF_DEG)).tolist():
         if slot_id(times[i]) not in occupied:
             others = [tag for tag in missed.tags if not tag.startswith(MAKEUP)]
-            makeup = replace(
-                missed,
-                t_utc=times[i],
-                sun_altitude_deg=float(at.altitude_deg[i]),
-                sun_azimuth_deg=float(at.azimuth_deg[i]),
-                tags=(*others, MAKEUP + missed.id),
-            )
+            altitude_deg, azimuth_deg = float(at.altitude_deg[i]), float(at.azimuth_deg[i])
+            angles = {"sun_altitude_deg": altitude_deg, "sun_azimuth_deg": azimuth_deg}
+            makeup = replace(missed, t_utc=times[i], **angles, tags=(*others, MAKEUP + missed.id))
             return makeup, float(off_deg[i])
     return None
 
@@ -175,17 +171,14 @@ def sentences(answer: JsonTable) -> list[str]:
     again = f"; {recovered} missed slots have been made up for" if recovered else ""
     if not answer["missed"]:
         return [f"no slot is missing; the plan is unchanged{again}"]
-    texts = [
-        f"{answer['missed']} slots missed, {answer['already']} of them already have a make-up slot"
-        + again
-    ]
+    missed = f"{answer['missed']} slots missed, {answer['already']} of them already have"
+    texts = [f"{missed} a make-up slot{again}"]
     if made_up:
         days = sorted({f"{parse_utc(pair['slot']):%Y-%m-%d}" for pair in made_up})
-        texts.append(
-            f"{len(made_up)} make-up slots added on {len(days)} days: {listed(days)}; in each of "
-            f"them the sun is within {max(pair['sun_off_deg'] for pair in made_up):g} deg of its "
-            "position in the missed slot"
-        )
+        off_deg = max(pair["sun_off_deg"] for pair in made_up)
+        added = f"{len(made_up)} make-up slots added on {len(days)} days: {listed(days)}"
+        near = f"the sun is within {off_deg:g} deg of its position in the missed slot"
+        texts.append(f"{added}; in each of them {near}")
     if lost:
         text = f"{len(lost)} missed slots have no make-up within a year"
         texts.append(f"{text}: {listed(lost, 4)}")

@@ -258,11 +258,9 @@ class Session:
 # Names, up to their first dot, of the entries of a session's folder in which links are rejected:
 # pairs stands for pairs.csv, pairs.csv.sha256 and pairs.alignment.csv. fieldlum opens more than the
 # attributes of a session.
-_CHECKED_STEMS = {
-    place.top.partition(".")[0]
-    for place in vars(Session).values()
-    if isinstance(place, _Place | _SlotPlace)
-} | {"scene", "watch", "export", "compare", "room", "demo"}
+_MORE_STEMS = {"scene", "watch", "export", "compare", "room", "demo"}
+_PLACES = [place for place in vars(Session).values() if isinstance(place, _Place | _SlotPlace)]
+_CHECKED_STEMS = {place.top.partition(".")[0] for place in _PLACES} | _MORE_STEMS
 
 
 def _open(path: Path, flags: int) -> int:

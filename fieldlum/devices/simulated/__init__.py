@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from fieldlum.core.errors import DeviceError
-from fieldlum.core.records import IrradianceSample
+from fieldlum.core.records import CameraSetup, IrradianceSample
 from fieldlum.devices import Camera, DeviceUri, InstrumentInfo, Pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.simulated.world import World, open_world
@@ -72,7 +72,6 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     unless the URI does; None for defaults and an office. Raises DeviceError for another place than
     office or an unknown option, InputError for a bad profile, SITE.toml or truth/ of the session.
     """
-    from fieldlum.core.records import CameraSetup
     from fieldlum.devices.simulated.camera import SimulatedCamera
     from fieldlum.optics.profiles import load_camera_profile
 

@@ -201,10 +201,10 @@ class SimulatedCamera(Camera):
         # gives the same frames as an undisturbed one.
         name = f"{opened.timestamp():.0f} {set_to} {heading}".encode()
         rng = np.random.default_rng([self._seed, zlib.crc32(name)])
-        t_camera = opened + timedelta(seconds=self._clock_offset_s)
+        t_camera = (opened + timedelta(seconds=self._clock_offset_s)).replace(tzinfo=None)
         body, sensor = self._profile.camera, self._profile.sensor
-        about: dict[str, Any] = {"make": body.make, "model": body.model}
-        about["t_camera"] = t_camera.replace(tzinfo=None)  # cameras write no time zone
+        # cameras write no time zone
+        about: dict[str, Any] = {"make": body.make, "model": body.model, "t_camera": t_camera}
         path = target.with_name(f"{target.name}.{'jpg' if self._is_jpeg else 'dng'}")
         if self._is_jpeg:
             write_jpeg(path, jpeg_codes(image, self._profile, taken, rng), set_to, **about)

@@ -38,10 +38,7 @@ class LensSampling:
 
 @lru_cache(maxsize=8)  # also for a camera that is opened again: 20 megapixels take 16 s
 def lens_sampling(
-    lens: LensGeometry,
-    sensor: tuple[int, int],
-    panorama: tuple[int, int],
-    grid: SkyGrid | None = None,
+    lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int], grid: SkyGrid | None
 ) -> LensSampling:
     """Return how a lens samples a panorama: each sensor pixel averages 3 x 3 directions.
 

@@ -66,7 +66,7 @@ class TruthWorld:
     def scene(self, t_utc: datetime) -> Panorama:
         """Return the rendered panorama that is nearest in time.
 
-        Raises DeviceError without one within 45 minutes, InputError for a file that is none.
+        Raises DeviceError without one within 45 minutes, InputError for a file of another kind.
         """
         nearest = min(self._panoramas, key=lambda t: abs(t - t_utc), default=None)
         if nearest is None or abs(nearest - t_utc) > timedelta(minutes=45):
