@@ -183,6 +183,7 @@ def _words_by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     """
 
     def without_repeated_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
+        """Return the keys and values of a JSON object; raise ValueError for a repeated key."""
         if len(dict(pairs)) < len(pairs):
             raise ValueError("a key occurs twice")
         return dict(pairs)
@@ -361,12 +362,19 @@ class LineInstrument(Pyranometer):
 
 
 class _Spn1Options(Struct):
+    """Options of the URI of an SPN1; timeout: longest wait for an answer [s]."""
+
     kind: Literal["spn1", "ascii"]
     baud: Annotated[int, Meta(ge=300, le=921600)] = 9600
     timeout: Annotated[float, Meta(ge=0.1, le=60.0)] = 2.0
 
 
 class _LineOptions(Struct):
+    """Options of the URI of an instrument that prints lines.
+
+    profile: name or path; silence: time without a line after which reading fails [s].
+    """
+
     kind: str
     profile: str
     silence: Annotated[float, Meta(ge=0.1, le=600.0)] = SILENCE_S

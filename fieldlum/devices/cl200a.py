@@ -208,10 +208,14 @@ class FramedMeter(IlluminanceMeter):
 
 
 class _Options(Struct):
+    """Options of the URI of a CL-200A; parity: E for even, N for none."""
+
     parity: _Parity = "E"
 
 
 class _ChainOptions(_Options):
+    """Options of the URI of a T-10A; head: number of its receptor head in the chain."""
+
     head: Annotated[int, Meta(ge=0, le=29)] = 0
 
 

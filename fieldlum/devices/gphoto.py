@@ -132,6 +132,8 @@ class GphotoCamera(Camera):
 
 
 class _Options(Struct):
+    """Options of the URI; delete: delete pictures on the card after copying."""
+
     delete: bool = False
 
 

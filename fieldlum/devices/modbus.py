@@ -245,6 +245,13 @@ _Unit = Annotated[int, Meta(ge=1, le=247)]  # addresses of devices on a Modbus l
 
 
 class _Options(Struct):
+    """Options of the URI; None for the profile's setting.
+
+    kind: name or path of the register profile; unit, dhi_unit, dni_unit: addresses of the
+    instruments for global, diffuse and direct irradiance; baud, parity, stop: of the serial line;
+    timeout: longest wait for an answer [s].
+    """
+
     kind: str = ""
     unit: _Unit | None = None
     dhi_unit: _Unit | None = None
@@ -278,6 +285,7 @@ class ModbusPyranometer(Pyranometer):
             answers = [self._ask(unit, blocks)[0] for unit in units.values()]
 
         def texts(name: str) -> list[str]:
+            """Return the texts of an entry of the profile that instruments answered."""
             return [text for answer in answers if (text := answer.texts.get(name))]
 
         names = ("model", "serial", "firmware", "sensitivity")

@@ -215,6 +215,8 @@ def _check_taken(metadata: FrameMetadata, planned: Exposure) -> None:
 
 
 class _Options(Struct):
+    """Options of the URI; f_number: of the lens; program: name or path of rpicam-still."""
+
     f_number: Annotated[float, Meta(ge=0.5, le=64.0)] | None = None
     program: str = PROGRAM
 

@@ -207,6 +207,8 @@ def _positive_numbers(values: object) -> list[float]:
 
 
 class _Options(Struct):
+    """Options of the URI; delete: delete pictures on the camera after copying."""
+
     delete: bool = False
 
 

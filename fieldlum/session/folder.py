@@ -133,6 +133,7 @@ class _SlotPlace:
         """Return the function that gives a slot's path in a session."""
 
         def path_of(slot: str) -> Path:
+            """Return the path for a slot id; raise InputError for an id with a path in it."""
             if not is_plain(slot):  # from the journal or another file that anybody may have written
                 found, expected = f"the slot name {slot!r}", "a name such as 20270320T153000Z"
                 remedy = "restore the file that names the slot from a copy"

@@ -94,6 +94,7 @@ def with_paths_from(setup: SiteFile, folder: Path) -> SiteFile:
     """
 
     def path_of(name: str) -> str:
+        """Return the path of a file by its name in SITE.toml; the name itself if it fits."""
         paths = (above / name for above in (folder, *folder.absolute().parents))
         path = next((path for path in paths if path.is_file()), None) if name else None
         is_here = path is None or (Path(name).is_file() and path.samefile(name))

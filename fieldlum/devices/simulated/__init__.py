@@ -48,12 +48,22 @@ _Seed = Annotated[int, Meta(ge=0, le=2**31)]
 
 
 class _CameraOptions(Struct):
+    """Options of the URI as a camera; clock_offset: its clock minus the computer's [s].
+
+    seed: of noise and clouds; profile: name or path of the camera profile, "" for the session's.
+    """
+
     seed: _Seed = 1
     profile: str = ""
     clock_offset: Annotated[float, Meta(ge=-1e9, le=1e9)] = 0.0
 
 
 class _PyranometerOptions(Struct):
+    """Options of the URI as a pyranometer.
+
+    seed: of noise and clouds; noise: standard deviation of its noise [W/m2].
+    """
+
     seed: _Seed = 1
     noise: Annotated[float, Meta(ge=0.0, le=100.0)] = 1.0
 
