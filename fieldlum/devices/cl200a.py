@@ -130,7 +130,7 @@ def parse_t10_answer(reply: bytes, head: int) -> float:
     error = answer["error"]
     if error not in " 7":  # both: normal operation
         raise DeviceError(f"T-10A: {_ERRORS.get(error, f'error {error}; restart the meter')}")
-    if answer["range"] not in "12345":
+    if answer["range"] not in "12345":  # another character while it has none
         raise NotReady("T-10A changes its range; read it again in steady light")
     illuminance_lx = _value(answer["lux"])
     if not 0.0 <= illuminance_lx <= 299_900.0:

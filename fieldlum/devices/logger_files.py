@@ -643,7 +643,8 @@ class _TimeColumns:
         """
         text = self.text(row)
         if date := _DAY_OR_MONTH_FIRST.fullmatch(text):
-            groups = (4, 3, 1) if date[2] == "." else self._date_groups  # with points the day first
+            # with points the day is first
+            groups = (4, 3, 1) if date[2] == "." else self._date_groups
             year, month, day = (date[k].zfill(2) for k in groups)
             text = f"{year if len(year) == 4 else f'20{year}'}-{month}-{day} {date[5]}"
         t = strict_csv.read_time(text, utc=self._is_utc)
@@ -676,6 +677,8 @@ class _TimeColumns:
         back = before - t
         remedy = "write standard time in all rows, or remove rows that occur twice"
         found = f"the clock goes back from {before:%Y-%m-%d %H:%M} to {t:%H:%M}"
+        # Summer time ends before 4 h, with a step of an hour or half an hour. From 12 to 1 o'clock
+        # the step is 11 h, less the time between two rows.
         if t.hour < 4 and timedelta(minutes=25) < back <= timedelta(hours=1):
             cause = "as at the end of summer time"
         elif self._has_twelve_hours and t.date() == before.date() and back > timedelta(hours=10.5):

@@ -89,7 +89,7 @@ class Entry:
     @property
     def own_registers(self) -> range:
         """Numbers of the registers of the value itself."""
-        is_text = self.type == "text"
+        is_text = self.type == "text"  # a register has two bytes
         count = self.words if is_text else struct.calcsize(_STRUCT_FORMATS[self.type]) // 2
         return range(self.register, self.register + count)
 

@@ -162,7 +162,10 @@ class JsonFile(msgspec.Struct, frozen=True):
 
     @classmethod
     def from_table(cls, table: JsonTable, path: Path) -> Self:
-        """Build from a JSON object; null counts as absent. path: for the InputError otherwise."""
+        """Return the record in a JSON object of any version of the format; null counts as absent.
+
+        path: of its file. Raises InputError for a newer format and for other content.
+        """
         check_format(path, table.get("format", 1), cls.FORMAT)
         with input_errors(path, cls.EXPECTED, cls.REMEDY, *_CONVERSION_ERRORS):
             stated = cls.upgraded(table, path)

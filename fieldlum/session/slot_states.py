@@ -76,14 +76,18 @@ def read_slot_states(session: Session) -> SlotStates:
 
 
 def _after_event(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
-    """Return the state of a slot after one more event of the journal."""
+    """Return the state of a slot after one more event of the journal.
+
+    state: before the event; kind: of the event. The event withdrawn cancels all earlier ones; one
+    of another kind than those below changes nothing.
+    """
     if kind == "started":
         # A second start of the same attempt continues it with its frames.
         attempt = int(event.get("attempt", 1))
         frames = state.frames if attempt == state.attempt else ()
         return replace(state, outcome="started", attempt=attempt, frames=frames)
     if kind in ("frame", "retake") and "frame" in event:
-        frame = frame_from(event["frame"])
+        frame = frame_from(event["frame"])  # a retake has the index of the frame that it replaces
         others = tuple(f for f in state.frames if f.index != frame.index)
         return replace(state, frames=(*others, frame))
     if kind == "illuminance" and "illuminance_lx" in event:

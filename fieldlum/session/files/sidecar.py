@@ -125,11 +125,11 @@ class MergeReport(Struct, frozen=True):
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> MergeReport:
-        """Build from the key `quality` of a sidecar; unknown keys are ignored.
+        """Return the report in the key `quality` of a sidecar; unknown keys are ignored.
 
-        Version 0.1.0 wrote the exposures of frames as text alone. Raises KeyError, TypeError or
-        ValueError for other content.
+        Raises KeyError, TypeError or ValueError for other content.
         """
+        # Version 0.1.0 wrote the exposures of frames as text alone.
         frames = [
             {**asdict(parse_exposure(row["exposure"])), "file": "", **row}
             for row in table.get("frames", ())
