@@ -1,7 +1,7 @@
 """Read which frames belong to a bracket, and the prior uncertainty of their exposures."""
 
 import filecmp
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -110,8 +110,7 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     a raw camera or the reverse, for an aperture for which the profile's k is not calibrated, and if
     the frames have different apertures.
     """
-    for path, finding, expected, remedy in _problems(shots, profile):
-        raise InputError(path, finding, expected, remedy)
+    _check_settings(shots, profile)
 
     def order(shot: Shot) -> tuple[float, float, str]:
         exposure = shot.exposure
@@ -122,13 +121,8 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     return sorted(shots, key=order)
 
 
-def _problems(
-    shots: Sequence[Shot], profile: CameraProfile
-) -> Iterator[tuple[Path, str, str, str]]:
-    """Yield file, finding, expectation and remedy of each frame that cannot be in the bracket.
-
-    The reasons are those of `sorted_shots`, except for filters.
-    """
+def _check_settings(shots: Sequence[Shot], profile: CameraProfile) -> None:
+    """Raise InputError for a frame whose file format or aperture cannot be in the bracket."""
     kind, apertures = profile.camera.kind, profile.scale.f_numbers
     first = shots[0].exposure.f_number
     for shot in shots:
@@ -136,15 +130,16 @@ def _problems(
         if is_jpeg(shot.path) != (kind == "jpeg"):
             finding = "a raw frame" if kind == "jpeg" else "a JPEG frame"
             expected = f"{kind} frames, as of {profile.camera.name}"
-            yield shot.path, finding, expected, "name the profile of its camera"
+            raise InputError(shot.path, finding, expected, "name the profile of its camera")
         if apertures and min(abs(f_number / n - 1) for n in apertures) > SAME_LABEL:
             valid = ", ".join(f"f/{n:g}" for n in apertures)
             expected = f"{valid}, because the profile's k is not calibrated for other apertures"
             remedy = "calibrate this aperture (fieldlum calibrate scale)"
-            yield shot.path, f"a frame with f/{f_number:g}", expected, remedy
+            raise InputError(shot.path, f"a frame with f/{f_number:g}", expected, remedy)
         if abs(f_number / first - 1) > SAME_LABEL:
             finding = f"a frame with f/{f_number:g} in a bracket with f/{first:g}"
-            yield shot.path, finding, "one aperture in a bracket", "merge each by itself"
+            remedy = "merge each by itself"
+            raise InputError(shot.path, finding, "one aperture in a bracket", remedy)
 
 
 def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, Floats]:

@@ -18,10 +18,11 @@ T = TypeVar("T", bound=np.floating)
 
 
 def linearity_factor(share: NDArray[T], coefficients: Sequence[float]) -> NDArray[T]:
-    """Return the factor that makes counts proportional to light: 1 + a1 x + a2 x^2 + ..., [...].
+    """Return the factor by which counts become proportional to light: 1 + a1 x + a2 x^2 + ...
 
-    coefficients: a1 first; empty gives 1. share: x, counts above black over those of the full scale
-    [...], limited to 0 to 1. The factor at x = 0 and below is 1.
+    share: x, counts above black over those of the full scale [...], limited to 0 to 1; the result
+    has its shape.
+    coefficients: a1 first; without any, the factor is 1.
     """
     x = np.clip(share, 0.0, 1.0)
     factor: NDArray[T] = np.zeros_like(x)
@@ -30,7 +31,7 @@ def linearity_factor(share: NDArray[T], coefficients: Sequence[float]) -> NDArra
     return np.asarray(factor + 1.0, x.dtype)
 
 
-def rises(coefficients: Sequence[float]) -> bool:
+def corrected_counts_rise(coefficients: Sequence[float]) -> bool:
     """Return whether counts corrected by `linearity_factor` increase strictly with raw counts.
 
     coefficients: a1 first. 201 points from 0 to full scale are tested.
@@ -40,9 +41,9 @@ def rises(coefficients: Sequence[float]) -> bool:
 
 
 def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> Floats:
-    """Return the vignetting V = sum c_k radius^k, [...].
+    """Return the vignetting V = sum c_k radius^k: the lens's transmission over that on axis, [...].
 
-    coefficients : c_0 first; none give 1. radius : angle from the axis over half of the full angle
+    coefficients: c_0 first; none give 1. radius: angle from the axis over half of the full angle
     [...], limited to 0 to 1.
     """
     r = np.clip(np.asarray(radius, float), 0.0, 1.0)
@@ -50,9 +51,9 @@ def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> Floats:
 
 
 def check_vignetting(coefficients: tuple[float, ...]) -> str:
-    """Return what is wrong with a vignetting curve V(r), or "".
+    """Return what is wrong with a vignetting curve V(r), as part of a sentence; "" for nothing.
 
-    coefficients : of V, c_0 first. V must be finite, V(0) within 0.01 of 1, 0 < V <= 1.05, and V at
+    coefficients: of V, c_0 first. V must be finite, V(0) within 0.01 of 1, 0 < V <= 1.05, and V at
     most 1 at the edge. A curve that rises towards the edge is a common error of sign: it darkens
     where it should brighten.
     """
@@ -67,9 +68,9 @@ def check_vignetting(coefficients: tuple[float, ...]) -> str:
 
 
 def response_table(kind: str, curve: Sequence[float] = ()) -> Floats:
-    """Return the linear signal z of the JPEG codes 0 to 255, [256].
+    """Return the linear light z (1 at full scale) of the JPEG codes 0 to 255, [256].
 
-    kind : linear, srgb (IEC 61966-2-1), table (curve: 256 values) or polynomial: sum c_k (code /
+    kind: linear, srgb (IEC 61966-2-1), table (curve: 256 values) or polynomial: sum c_k (code /
     255)^k, made non-decreasing and >= 0 (curve: c_0 first; the .rsp file of hdrgen has c_0 last).
     Raises ValueError for a table that has another length, is not finite, decreases or does not end
     above 0, and for a polynomial with under two coefficients or one that is not finite.
@@ -104,22 +105,23 @@ _LOWEST, _HIGHEST = 3, 252
 def dark_floor(codes: NDArray[np.uint8], log_exposure: Floats) -> int:
     """Return the lowest code that follows the light, 3 to 63; lower codes are black level or haze.
 
-    codes : [places, frames], one scene point a row, 0 where a frame has no code; log_exposure :
+    codes: [places, frames], one scene point a row, 0 where a frame has no code; log_exposure:
     [frames], natural log. A code is compared with the code of the same place in the longest frame
     of at most half the exposure: above a black level the latter is clearly lower.
     """
-    order = np.argsort(-np.asarray(log_exposure, float))
+    order = np.argsort(-np.asarray(log_exposure, float))  # longest frame first
     log_e = np.asarray(log_exposure, float)[order]
     of_frame = codes[:, order].astype(int).T  # [frames, places]
-    falls = [np.empty((2, 0), int)]  # codes, and by how much they fall
+    pairs = [np.empty((2, 0), int)]  # codes, and by how much they fall at half the exposure
     for longer, log_longer in zip(of_frame, log_e, strict=True):
         half = np.flatnonzero(log_longer - log_e >= 0.95 * np.log(2.0))
         if half.size:
-            both = (longer > 0) & (of_frame[half[0]] > 0) & (longer < 64)
-            falls.append(np.stack([longer, longer - of_frame[half[0]]])[:, both])
-    held, fall = np.hstack(falls)
+            shorter = of_frame[half[0]]
+            dark = (longer > 0) & (shorter > 0) & (longer < 64)
+            pairs.append(np.stack([longer, longer - shorter])[:, dark])
+    dark_codes, fall = np.hstack(pairs)
     for code in range(62, _LOWEST - 1, -1):
-        near = np.abs(held - code) <= 1
+        near = np.abs(dark_codes - code) <= 1
         if near.sum() >= 10 and np.median(fall[near]) < 1.5:
             return code + 1
     return _LOWEST
@@ -130,7 +132,7 @@ def fit_response(
 ) -> tuple[Floats, float]:
     """Fit a monotone response to codes of the same places in all frames, with known exposures.
 
-    codes : [places, frames]; log_exposure : [frames], natural log; smooth : weight of smoothness.
+    codes: [places, frames]; log_exposure: [frames], natural log; smooth: weight of smoothness.
     Codes below `low` (default: the `dark_floor` of these codes) are omitted, because a black level
     that counts as light would bend the complete curve.
 
@@ -148,26 +150,26 @@ def fit_response(
     if frames < 2 or places < 20:
         raise ValueError(f"{places} places in {frames} frames are too few for a response")
     low = dark_floor(codes, log_exposure) if low is None else low
-    ok = (codes >= low) & (codes <= _HIGHEST)
-    place, frame = np.nonzero(ok)
-    value = codes[place, frame].astype(int)
-    weight = np.minimum(value - low + 1, _HIGHEST - value + 1) / ((_HIGHEST - low) / 2)
-    n = value.size
-    rows = np.arange(n)
-    columns = np.r_[value, 256 + place]
-    at = (np.tile(rows, 2), columns)
-    data = sparse.csr_matrix((np.r_[weight, -weight], at), (n, 256 + places))
-    curve = np.arange(1, 255)
-    hat = np.minimum(curve, 255 - curve) / 127.0 + 0.05
+    place, frame = np.nonzero((codes >= low) & (codes <= _HIGHEST))  # of each usable code, [n]
+    code = codes[place, frame].astype(int)
+    weight = np.minimum(code - low + 1, _HIGHEST - code + 1) / ((_HIGHEST - low) / 2)
+    # Unknowns: ln z of the 256 codes, then ln of the light at each place. The rows of the system:
+    # ln z(code) - ln light(place) = ln exposure(frame) for each code, second differences, ln z(128)
+    # = 0, and a weak pull to 0 that makes codes without data solvable.
+    n, unknowns = code.size, 256 + places
+    at = (np.tile(np.arange(n), 2), np.r_[code, 256 + place])
+    data = sparse.csr_matrix((np.r_[weight, -weight], at), (n, unknowns))
+    inner = np.arange(1, 255)
+    hat = np.minimum(inner, 255 - inner) / 127.0 + 0.05
     bends = np.r_[hat, -2 * hat, hat] * np.sqrt(smooth * n / 256 / 100)
-    columns = np.r_[curve - 1, curve, curve + 1]
-    bend = sparse.csr_matrix((bends, (np.tile(curve - 1, 3), columns)), (254, 256 + places))
-    pin = sparse.csr_matrix(([1e3], ([0], [128])), (1, 256 + places))
-    system = sparse.vstack([data, bend, pin, 1e-6 * sparse.eye(256 + places)]).tocsr()
-    target = np.r_[weight * log_exposure[frame], np.zeros(254 + 1 + 256 + places)]
+    at = (np.tile(inner - 1, 3), np.r_[inner - 1, inner, inner + 1])
+    bend = sparse.csr_matrix((bends, at), (254, unknowns))
+    pin = sparse.csr_matrix(([1e3], ([0], [128])), (1, unknowns))
+    system = sparse.vstack([data, bend, pin, 1e-6 * sparse.eye(unknowns)]).tocsr()
+    target = np.r_[weight * log_exposure[frame], np.zeros(254 + 1 + unknowns)]
     solution = np.asarray(spsolve((system.T @ system).tocsc(), system.T @ target))
-    log_z, light = solution[:256], solution[256:]
-    middle = (value >= 27) & (value <= 228)
-    residual = (log_z[value] - light[place] - log_exposure[frame])[middle]
+    log_z, log_light = solution[:256], solution[256:]
+    middle = (code >= 27) & (code <= 228)
+    residual = (log_z[code] - log_light[place] - log_exposure[frame])[middle]
     z = monotone(np.exp(log_z - log_z[255]))
     return z / z[255], float(np.sqrt(np.mean(residual**2)))

@@ -37,18 +37,18 @@ def same_exposure(a: Exposure, b: Exposure) -> bool:
 
 
 def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:
-    """Return the linear signal z (1 at full scale) per cd/m2, by L = k 87 N^2 / (t S) z.
+    """Return the linear signal z (1 at full scale) that 1 cd/m2 causes, by L = k 87 N^2 / (t S) z.
 
-    shutter_s : t; f_number : N; iso : S; k : factor of the scale calibration.
+    shutter_s: true time t; f_number: N; iso: S; k: factor of the scale calibration.
     """
     return shutter_s * iso / (STONITS * f_number**2 * k)
 
 
 def prior_u_log(shutter_s: ArrayLike) -> Floats:
-    """Return the relative standard uncertainty of shutter times that were not measured, [n].
+    """Return the relative standard uncertainty [n] of shutter times [n] in s that are not measured.
 
     0.003 from 1/1000 s on, 0.03 for shorter times, at which mechanical shutters are less accurate:
-    errors of up to 3.9 % are found (docs/validation.md). shutter_s : [n], s.
+    errors of up to 3.9 % were measured (docs/validation.md).
     """
     return np.where(np.asarray(shutter_s) < 1 / 1000, 0.03, 0.003)
 
@@ -59,9 +59,9 @@ def prior_u_log(shutter_s: ArrayLike) -> Floats:
 
 THIRD_STOPS, HALF_STOPS, EXACT, AUTO = "third-stops", "half-stops", "exact", "auto"
 LAWS = (THIRD_STOPS, HALF_STOPS, EXACT)
-# Settings in a stop, and how far a label may be from the nearest one: a time further away is used
-# unchanged. Labels are rounded by up to 6.3 % (13 s) in thirds of a stop, and by 11.6 % (1/20 s is
-# 2^-4.5 s) in halves. Sources: linearhdr (Wasilewski), hdrmerge (Jakob).
+# Settings in a stop, and how far a label may be from the nearest one, as a share: a time further
+# away is used unchanged. Labels are rounded by up to 6.3 % (13 s) in thirds of a stop, and by
+# 11.6 % (1/20 s is 2^-4.5 s) in halves. Sources: linearhdr (Wasilewski), hdrmerge (Jakob).
 _GRIDS = {THIRD_STOPS: ((3,), 0.07), HALF_STOPS: ((2,), 0.12), AUTO: ((3, 2), 0.07)}
 
 
@@ -85,9 +85,9 @@ class PairRatio:
 class ShutterLaw:
     """The law of a bracket's shutter times.
 
-    law : "third-stops", "half-stops" or "exact"; decided_by : "profile", "labels" or "frames"
-    ("": not stated); misfit_percent : for each law, the rms difference of the measured exposure
-    ratios from it, in %; empty without measured ratios.
+    law: "third-stops", "half-stops" or "exact"; decided_by: "profile", "labels" or "frames" ("":
+    not stated); misfit_percent: for each law, the rms difference of the measured exposure ratios
+    from it, in %; empty without measured ratios.
     """
 
     law: str
@@ -98,30 +98,31 @@ class ShutterLaw:
 def true_times_s(nominal_s: ArrayLike, law: str = AUTO) -> Floats:
     """Return the true times [...] in s of nominal times [...] in s.
 
-    law : "exact" changes nothing; "third-stops" and "half-stops" round to powers of 2^(1/3) and
+    law: "exact" changes nothing; "third-stops" and "half-stops" round to powers of 2^(1/3) and
     2^(1/2) s, but a time over 7 % or 12 % away from them is returned unchanged; "auto" rounds to
     the nearer of the two, unless that is over 7 % away.
     """
     nominal = np.asarray(nominal_s, np.float64)
     if law == EXACT:
         return nominal.copy()
-    settings, reach = _GRIDS[law]
+    settings_per_stop, reach = _GRIDS[law]
     stops = np.log2(nominal)
-    grids = np.stack([np.round(stops * n) / n for n in settings])  # [grids, ...]
-    nearest = np.abs(grids - stops).argmin(axis=0)[None]
-    on_grid = 2.0 ** np.take_along_axis(grids, nearest, axis=0)[0]
-    return np.where(np.abs(on_grid / nominal - 1.0) <= reach, on_grid, nominal)
+    settings = np.stack([np.round(stops * n) / n for n in settings_per_stop])  # [grids, ...]
+    nearest = np.abs(settings - stops).argmin(axis=0)[None]
+    rounded = 2.0 ** np.take_along_axis(settings, nearest, axis=0)[0]
+    return np.where(np.abs(rounded / nominal - 1.0) <= reach, rounded, nominal)
 
 
 def law_of_labels(nominal_s: ArrayLike, model: str = "") -> ShutterLaw:
-    """Return the law, half or third stops, that fits a bracket's nominal times [n] in s best.
+    """Return the shutter law, half or third stops, that fits the nominal times [n] in s best.
 
-    If both fit equally, it is third stops. model : name of the camera; if it contains "theta" the
+    If both fit equally, it is third stops. model: name of the camera; if it contains "theta" the
     law is "exact" (theta-web-api-v2.1, shutterSpeed).
     """
     if "theta" in model.casefold():
         return ShutterLaw(EXACT, "labels")
     stops = np.log2(np.asarray(nominal_s, np.float64))
+    # sums of squared distances from the nearest settings
     thirds, halves = (float(((np.round(stops * n) / n - stops) ** 2).sum()) for n in (3, 2))
     return ShutterLaw(HALF_STOPS if halves < 0.999 * thirds else THIRD_STOPS, "labels")
 
@@ -131,27 +132,28 @@ def law_of_frames(
 ) -> ShutterLaw:
     """Return the law that measured ratios support; the law of `of_labels` if they cannot decide.
 
-    times_s : for each law, the times [frames] in s; pairs : ratios measured relative to the times
-    under the law of `of_labels`; without pairs `of_labels` is returned. Only under the correct law
-    do equal nominal steps change codes equally. A wrong response, or changing light, stretches all
-    steps by one factor, which is estimated for each law. The frames decide if the ratios scatter
-    about every other law, of those that differ by over 2 %, at least twice as much.
+    times_s: for each law, the true times [frames] in s; pairs: ratios measured relative to the
+    times under the law of `of_labels`; without pairs `of_labels` is returned. Only under the
+    correct law do equal steps of the shutter change the signal equally. A wrong response, or
+    changing light, stretches all steps by one factor, which is estimated for each law. The frames
+    decide if the ratios scatter at least twice as much about every other law whose steps differ by
+    over 2 %.
     """
     if not pairs:
         return of_labels
     long, short = np.array([(pair.long, pair.short) for pair in pairs]).T
     measured = np.array([pair.log_ratio for pair in pairs])
     assumed = np.log(times_s[of_labels.law])
-    step = {law: np.log(times_s[law][short] / times_s[law][long]) for law in LAWS}
-    off = {law: measured - step[law] + (assumed[short] - assumed[long]) for law in LAWS}
-    slope = {law: off[law] @ step[law] / max(step[law] @ step[law], 1e-12) for law in LAWS}
-    scatter = {law: float(np.std(off[law] - step[law] * slope[law])) for law in LAWS}
+    step = {law: np.log(times_s[law][short] / times_s[law][long]) for law in LAWS}  # [pairs] each
+    residual = {law: measured - step[law] + (assumed[short] - assumed[long]) for law in LAWS}
+    stretch = {law: residual[law] @ step[law] / max(step[law] @ step[law], 1e-12) for law in LAWS}
+    scatter = {law: float(np.std(residual[law] - step[law] * stretch[law])) for law in LAWS}
     best = min(LAWS, key=lambda law: (scatter[law], law != of_labels.law))
     others = [law for law in LAWS if np.abs(step[law] - step[best]).max() > 0.02]
     decided = bool(others) and all(scatter[law] > 2.0 * scatter[best] for law in others)
-    misfit = {law: round(100.0 * float(np.sqrt(np.mean(off[law] ** 2))), 2) for law in LAWS}
+    misfit = {law: round(100.0 * float(np.sqrt(np.mean(residual[law] ** 2))), 2) for law in LAWS}
     if not decided:
         return ShutterLaw(of_labels.law, of_labels.decided_by, misfit)
-    # of laws that agree for these frames, that of the labels
+    # among laws that agree for these frames, the law of the labels has precedence
     law = best if of_labels.law in others else of_labels.law
     return ShutterLaw(law, "frames", misfit)

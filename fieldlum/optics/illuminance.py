@@ -10,25 +10,25 @@ from fieldlum.optics.projection import direction
 
 
 def _ray_integrals(height: int, width: int, heading_deg: float) -> Floats:
-    """Return the integral of the unit vector over each pixel's solid angle, [H, W, 3], sr.
+    """Return the integral of the unit vector over each pixel's solid angle, [H, W, 3] in sr.
 
-    The pixels are those of an equirectangular panorama; heading_deg: azimuth of its centre. The
-    vector is (east, north, up).
+    The pixels are those of a panorama with `height` x `width` pixels; heading_deg: azimuth of its
+    centre. The vector is (east, north, up).
     """
-    edges = np.linspace(0.0, np.pi, height + 1)
-    level = np.diff(edges / 2 - np.sin(2 * edges) / 4)  # of sin^2
-    upward = np.diff(np.sin(edges) ** 2 / 2)  # of sin cos
-    turn = np.radians(heading_deg) + (np.linspace(0.0, 1.0, width + 1) - 0.5) * 2 * np.pi
-    east, north, step = np.diff(-np.cos(turn)), np.diff(np.sin(turn)), 2 * np.pi / width
+    zenith_angle = np.linspace(0.0, np.pi, height + 1)  # of the rows' edges
+    level = np.diff(zenith_angle / 2 - np.sin(2 * zenith_angle) / 4)  # integral of sin^2
+    upward = np.diff(np.sin(zenith_angle) ** 2 / 2)  # integral of sin cos
+    azimuth = np.radians(heading_deg) + (np.linspace(0.0, 1.0, width + 1) - 0.5) * 2 * np.pi
+    east, north, step = np.diff(-np.cos(azimuth)), np.diff(np.sin(azimuth)), 2 * np.pi / width
     up = np.repeat(upward[:, None] * step, width, axis=1)
     return np.stack((level[:, None] * east, level[:, None] * north, up), axis=-1)
 
 
 def _cosine_weights(height: int, width: int, heading_deg: float, normal: Floats) -> Floats:
-    """Return the integral of cos(angle to the normal) over each pixel, [H, W], in sr.
+    """Return the integral of the cosine to a plane's normal over each pixel, [H, W] in sr.
 
-    It is 0 behind the plane. It is exact except in sub-pixels that the plane cuts: these count as
-    their mean, or not at all. height, width, heading_deg: of a panorama.
+    height, width, heading_deg: of a panorama; normal: unit vector (east, north, up). The result is
+    0 behind the plane, and exact except in pixels that the plane cuts.
     """
     # At least 128 rows, because pixels that the plane cuts count as their mean: a hemisphere
     # is then exact to 0.05 % (tests/test_projection.py).
@@ -66,8 +66,8 @@ def vertical_illuminance_lx(
 ) -> float:
     """Return the illuminance [lx] of a vertical plane that faces `azimuth_deg`, as at an eye.
 
-    luminance_cdm2 : panorama [H, W] in cd/m2, row 0 at the zenith, with its middle at azimuth
-    `heading_deg`; azimuths clockwise from north. sun : a sun that is not in the panorama, or None.
+    luminance_cdm2: panorama [H, W] in cd/m2, row 0 at the zenith, with its middle at azimuth
+    `heading_deg`; azimuths clockwise from north. sun: a sun that is not in the panorama, or None.
     """
     return illuminance_lx(luminance_cdm2, heading_deg, 0.0, azimuth_deg, sun)
 

@@ -53,19 +53,23 @@ _EXR_VALUES, _HDR_VALUES = (2**25, 100), (2**27, 30)
 
 
 def _max_values(path: Path, large: int, per_byte: int) -> int:
-    """Return how many values of all channels a picture may have, for the memory of decoding."""
-    return min(4 * MAX_PIXELS, max(large, per_byte * path.stat().st_size))  # at most 2.6 GB
+    """Return how many values, of all channels, a picture's file may be decoded to.
+
+    large: allowed in any file; per_byte: allowed in a larger file for each of its bytes. The limit
+    protects the computer's memory from damaged files: it is at most 2.6 GB.
+    """
+    return min(4 * MAX_PIXELS, max(large, per_byte * path.stat().st_size))
 
 
 @dataclass(frozen=True, slots=True)
 class RadianceHeader:
     """The content of a picture's header.
 
-    axes, counts : order of the pixels in the file, such as "-Y" and "+X", and their counts.
-    exposure : [3], by which the decoded channels must be divided. chromaticities : x, y of red,
-    green, blue and white, [8]. xyze : whether the pixels are XYZ. views : the picture's own VIEW
-    lines in order; inherited_views : those of its input pictures. heading_deg : of a panorama, else
-    None. pixel_aspect : height over width of a pixel.
+    axes, counts: order of the pixels in the file, such as "-Y" and "+X", and their counts.
+    exposure: [3], by which the decoded channels must be divided. chromaticities: x, y of red,
+    green, blue and white, [8]. xyze: whether the pixels are XYZ. views: the picture's own VIEW
+    lines in order; inherited_views: those of its input pictures. heading_deg: of a panorama, else
+    None. pixel_aspect: height over width of a pixel.
     """
 
     axes: tuple[str, str]
@@ -99,7 +103,7 @@ class RadianceHeader:
         return RADIANCE_LM_PER_W * weights / self.exposure
 
     def upright(self, pixels: Floats32) -> Floats32:
-        """Return pixels in file order [first, second, ...] as an upright picture [H, W, ...]."""
+        """Return pixels in file order [first axis, second axis, ...] as a picture [H, W, ...]."""
         axes = self.axes
         if axes[0][1] == "X":
             pixels, axes = pixels.swapaxes(0, 1), (axes[1], axes[0])
@@ -116,11 +120,10 @@ def rgb_to_xyz(chromaticities: Sequence[float]) -> Floats:
     """Return the matrix from RGB to XYZ with Y = 1 for R = G = B = 1, [3, 3].
 
     Its second row has the shares of R, G and B in luminance, negative for a primary that is no real
-    colour.
-    chromaticities : x, y of red, green, blue and white, [8]. A primary need not be a real colour:
-    blue of ACES AP0 has y = -0.077 (SMPTE ST 2065-1), red and blue of CIE XYZ have y = 0. Raises
-    ValueError for values that are not finite, a white with y = 0, and one that is not between the
-    primaries.
+    colour. chromaticities: x, y of red, green, blue and white, [8]. A primary need not be a real
+    colour: blue of ACES AP0 has y = -0.077 (SMPTE ST 2065-1), red and blue of CIE XYZ have y = 0.
+    Raises ValueError for values that are not finite, a white with y = 0, and one that is not
+    between the primaries.
     """
     if len(chromaticities) != 8:
         raise ValueError(f"{len(chromaticities)} numbers in place of 8")
@@ -138,11 +141,11 @@ def rgb_to_xyz(chromaticities: Sequence[float]) -> Floats:
 
 
 # ----------------------------------------------------------------------------------------------
-# reading
+# reading Radiance pictures
 
 
 def radiance_program(name: str) -> str:
-    """Return the path of a program of Radiance in pyradiance's wheel; name : such as pvalue."""
+    """Return the path of a program of Radiance, such as pvalue, in the wheel of pyradiance."""
     from pyradiance.anci import BINPATH
 
     return str(Path(BINPATH) / name)
@@ -168,7 +171,10 @@ def read_radiance_hdr(path: Path) -> tuple[Panorama, RadianceHeader]:
 
 
 def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
-    """Return the channels [scanlines, pixels, 3], in file order, before exposure is undone."""
+    """Return the channels [scanlines, pixels, 3], in file order, before exposure is undone.
+
+    file: open at the first byte of the pixels; path: of the file, for errors.
+    """
     scanlines, width = header.counts
     plain = f"#?RADIANCE\nFORMAT={_RGBE}\n\n-Y {scanlines} +X {width}\n".encode()
     command = [radiance_program("pvalue"), "-h", "-H", "-df"]
@@ -193,18 +199,18 @@ def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
 
 
 # ----------------------------------------------------------------------------------------------
-# the header
+# the header of a Radiance picture
 
 
 def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
-    """Read the header, up to the first byte of the pixels."""
+    """Read the header of an open Radiance picture, up to the first byte of the pixels."""
     lines = _header_lines(file)
     formats = [line[7:].strip() for line in lines if line.startswith("FORMAT=")]
     if not lines or not (lines[0].startswith("#?") or formats):
         file.seek(0)
-        found, expected = kind_of(file.read(16)) or "no Radiance header", "a luminance .hdr or .exr"
+        finding = kind_of(file.read(16)) or "no Radiance header"
         remedy = "merge photos: fieldlum merge --frames FILES --camera PROFILE --out MAP.exr"
-        raise InputError(path, found, expected, remedy)
+        raise InputError(path, finding, "a luminance .hdr or .exr", remedy)
     kind = formats[-1] if formats else _RGBE
     if kind not in (_RGBE, _XYZE):
         remedy = "convert it by rcomb -fc -c RGB IN > OUT (spectra), or rmtxop -fc IN > OUT.hdr"
@@ -242,7 +248,7 @@ def _header_lines(file: BinaryIO) -> list[str]:
 
 
 def _resolution(line: bytes, path: Path) -> tuple[tuple[str, str], tuple[int, int]]:
-    """Return the axes and their counts in the line before the pixels."""
+    """Return the axes, such as "-Y" and "+X", and their counts in the line before the pixels."""
     match = _RESOLUTION.fullmatch(line)
     if match is None or match[2] == match[5]:
         finding = f"resolution line {line[:40].decode('latin-1').strip()!r}"
@@ -289,10 +295,12 @@ def _chromaticities(lines: Sequence[str], path: Path) -> tuple[float, ...]:
 
 
 def _views(lines: Sequence[str]) -> tuple[str, ...]:
+    """Return the view options of the lines that begin with VIEW=, in order."""
     return tuple(line[5:].strip() for line in lines if line.startswith("VIEW="))
 
 
 def _heading(line: str, path: Path) -> float:
+    """Return the heading [deg] in the line by which fieldlum marks a panorama."""
     words = line.removeprefix(PANORAMA_LINE).split()
     with suppress(ValueError, IndexError):
         if np.isfinite(heading := float(words[0])):
@@ -308,7 +316,8 @@ def _heading(line: str, path: Path) -> float:
 def encode_rgbe(rgb: Floats) -> NDArray[np.uint8]:
     """Encode RGB with a shared exponent (RGBE): floats [H, W, 3] become bytes [H, W, 4].
 
-    Mantissas are truncated, because Radiance decodes (mantissa + .5) / 256.
+    rgb: radiance in W/sr/m2. Mantissas are truncated, because Radiance decodes (mantissa + .5) /
+    256.
     """
     import cv2
 
@@ -329,8 +338,8 @@ def write_radiance_hdr(
 ) -> None:
     """Write cd/m2 [H, W] or radiance RGB [H, W, 3] in W/sr/m2 as a Radiance picture (flat RGBE).
 
-    view : view options of Radiance, such as "-vta -vh 180 -vv 180"; a panorama has heading_deg
-    instead; header : further lines.
+    view: view options of Radiance, such as "-vta -vh 180 -vv 180"; a panorama has heading_deg
+    instead; header: further lines.
     """
     values = np.asarray(pixels)
     height, width = values.shape[:2]
@@ -344,14 +353,6 @@ def write_radiance_hdr(
         values = np.repeat(values[..., None] / RADIANCE_LM_PER_W, 3, axis=-1)
     head = "\n".join(lines) + f"\n-Y {height} +X {width}\n"
     path.write_bytes(head.encode() + encode_rgbe(values).tobytes())
-
-
-# ITU-R BT.709, which OpenEXR assumes where a file has no attribute `chromaticities`.
-_BT709_CHROMATICITIES = (0.640, 0.330, 0.300, 0.600, 0.150, 0.060, 0.3127, 0.3290)
-NO_UNIT = "the EXR states no unit (no whiteLuminance): its values are taken as cd/m2"
-
-# ----------------------------------------------------------------------------------------------
-# writing
 
 
 def calibration_mark(profile: CameraProfile) -> dict[str, str]:
@@ -376,7 +377,7 @@ PICTURE_SUFFIXES = (".exr", ".hdr")
 def write_picture(path: Path, panorama: Panorama, view: str = "") -> None:
     """Write an .exr, or a Radiance .hdr of luminance or colour only, complete or not at all.
 
-    view : Radiance's view options, for a picture that is not a panorama. Raises InputError for
+    view: Radiance's view options, for a picture that is not a panorama. Raises InputError for
     another suffix.
     """
     suffix = path.suffix.lower()
@@ -394,7 +395,7 @@ def write_picture(path: Path, panorama: Panorama, view: str = "") -> None:
 def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") -> None:
     """Write a float32 EXR with the channel Y and, if present, u, flags, R, G and B.
 
-    Attributes: view, heading_deg, t_utc, sun and `Panorama.attributes`. view : Radiance's view
+    Attributes: view, heading_deg, t_utc, sun and `Panorama.attributes`. view: Radiance's view
     options, for a picture that is not a panorama. Raises OSError if the file cannot be written.
     """
     import OpenEXR
@@ -423,6 +424,7 @@ def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") ->
 
 
 def _sun_text(sun: SunSource) -> str:
+    """Return the attribute `sun`: altitude, azimuth [deg], lx, visible fraction and origin."""
     return (
         f"{sun.altitude_deg:.4f} {sun.azimuth_deg:.4f} {sun.normal_illuminance_lx:.6g}"
         f" {sun.visible_fraction:.4f} {sun.origin or 'unknown'}"
@@ -430,19 +432,25 @@ def _sun_text(sun: SunSource) -> str:
 
 
 def _sun_parse(text: str) -> SunSource:
+    """Return the sun of a text that `_sun_text` wrote. Raises ValueError for another text."""
     *numbers, origin = text.split(maxsplit=4)
     altitude, azimuth, normal, fraction = map(float, numbers)
     return SunSource(altitude, azimuth, normal, visible_fraction=fraction, origin=origin)
 
 
 # ----------------------------------------------------------------------------------------------
-# reading
+# reading EXR
+
+
+# ITU-R BT.709, which OpenEXR assumes where a file has no attribute `chromaticities`.
+_BT709_CHROMATICITIES = (0.640, 0.330, 0.300, 0.600, 0.150, 0.060, 0.3127, 0.3290)
+NO_UNIT = "the EXR states no unit (no whiteLuminance): its values are taken as cd/m2"
 
 
 def read_panorama(path: Path, part: str = "") -> Panorama:
     """Read a panorama: an .exr or a Radiance .hdr that is twice as wide as high.
 
-    part : of an .exr, as for `read_exr`. A file without a heading gets 180 (south). The file's view
+    part: of an .exr, as for `read_exr`. A file without a heading gets 180 (south). The file's view
     is not checked. Raises InputError for a missing or broken file, and for other shapes.
     """
     is_exr = path.suffix.lower() == ".exr"
@@ -462,7 +470,7 @@ def require_panorama(panorama: Panorama, source: Path | str) -> None:
 def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
     """Return a luminance picture and its view: ``equirect``, Radiance's view options, or "".
 
-    part : name of the part, layer or stereo view to read; "" for the only one. The luminance is
+    part: name of the part, layer or stereo view to read; "" for the only one. The luminance is
     channel Y, or R, G and B weighted by the attribute chromaticities (BT.709 without it) times
     whiteLuminance (1 cd/m2 without it). For files of other programs `Panorama.attributes["note"]`
     states a missing unit, and other layers. Pixels outside of the data window are flagged as
@@ -484,7 +492,7 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
     expected = "attributes as fieldlum writes them"
     remedy = "merge the panorama again, or copy the file again"
     with input_errors(path, expected, remedy, ValueError, TypeError, AttributeError):
-        own = {
+        attributes = {
             str(key).removeprefix("fieldlum:"): str(value)
             for key, value in header.items()
             if str(key).startswith("fieldlum:")
@@ -493,10 +501,10 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
         t_utc = parse_utc(header["t_utc"]) if header.get("t_utc") else None
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
     if note := "; ".join(filter(None, (unit_note, layer_note))):
-        own["note"] = note
+        attributes["note"] = note
     rgb = np.stack([channels[c] for c in "RGB"], axis=-1) if set("RGB") <= set(channels) else None
     flags = channels["flags"].astype(np.uint16) if "flags" in channels else None
-    panorama = Panorama(luminance, heading, channels.get("u"), flags, t_utc, sun, rgb, own)
+    panorama = Panorama(luminance, heading, channels.get("u"), flags, t_utc, sun, rgb, attributes)
     # OpenEXR itself names the view of a stereo picture in this attribute, such as "left".
     view = str(header.get("view", ""))
     has_view = view.startswith(("equirect", "-v", "VIEW=", "rvu "))
@@ -504,14 +512,14 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
 
 
 class _OwnOutput(io.StringIO):
-    """What one thread prints; other threads go on printing to the output of before."""
+    """An output that collects what one thread prints; other threads print to the former output."""
 
     def __init__(self) -> None:
         super().__init__()
         self._thread, self._output = threading.get_ident(), sys.stdout
 
     def write(self, text: str, /) -> int:
-        """Keep the text of the thread that opens a file, and print that of others."""
+        """Collect the text of the thread that created this output, and print that of others."""
         is_own = threading.get_ident() == self._thread
         return super().write(text) if is_own else self._output.write(text)
 
@@ -544,7 +552,7 @@ _COMPLETE = ("a complete EXR", "copy the file again")
 
 
 def exr_headers(path: Path) -> list[dict[str, Any]]:
-    """Return the attributes of each part.
+    """Return the attributes of each part of an .exr, with the names of its channels as `channels`.
 
     Raises InputError for a file that is no EXR, and for one with too many pixels to be decoded.
     """
@@ -562,7 +570,11 @@ def exr_headers(path: Path) -> list[dict[str, Any]]:
 
 
 def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int]:
-    """Return top, left, and the row and column after the last [px]."""
+    """Return top, left, and the row and column after the last [px] of a window of an .exr.
+
+    header: attributes of a part; name: dataWindow (the stored pixels) or displayWindow (the
+    picture).
+    """
     (x0, y0), (x1, y1) = header[name]
     return int(y0), int(x0), int(y1) + 1, int(x1) + 1
 
@@ -570,8 +582,7 @@ def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int]:
 def _check_size(headers: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Raise InputError for more values than `_max_values`, before anything is decoded.
 
-    headers: of each part of an .exr. All parts count, because OpenEXR decodes all of them. So does
-    a file too small for its pixels.
+    headers: of each part of an .exr. All parts count, because OpenEXR decodes all of them.
     """
     maximum = _max_values(path, *_EXR_VALUES)
     for header, name in ((h, name) for h in headers for name in ("dataWindow", "displayWindow")):
@@ -590,7 +601,7 @@ def _channels(
 ) -> dict[str, Floats32]:
     """Return the channels [H, W] of a picture, on its display window, by their plain name.
 
-    part : its number; header : of this part; names : plain name by the name in the file. Pixels
+    part: its number; header: of this part; names: plain name by the name in the file. Pixels
     without data are NaN, and get a flag.
     """
     with (
@@ -628,10 +639,10 @@ def _luminance(
     white = header.get("whiteLuminance")
     white = white if isinstance(white, int | float) and 0 < white < np.inf else None
     scale = float(white or 1.0)
-    ours = any(str(key).startswith("fieldlum:") or key == "heading_deg" for key in header)
-    note = "" if ours or white else NO_UNIT
+    by_fieldlum = any(str(key).startswith("fieldlum:") or key == "heading_deg" for key in header)
+    note = "" if by_fieldlum or white else NO_UNIT
     stated = channels["Y"] * np.float32(scale) if "Y" in channels else None
-    if stated is not None and (ours or "R" not in channels):
+    if stated is not None and (by_fieldlum or "R" not in channels):
         return stated, note
     expected = "chromaticities as x and y of R, G, B and white"
     remedy = "write the picture again with a correct attribute, or without it"
@@ -642,8 +653,8 @@ def _luminance(
         for name, weight in zip("RGB", weights * scale, strict=True):
             luminance += channels[name] * np.float32(weight)
     if stated is not None and np.nanmedian(abs(stated - luminance)) > 0.01 * np.nanmean(luminance):
-        found, expected = "channel Y is not the luminance of R, G and B", "one luminance"
-        raise InputError(path, found, expected, "write only Y, or only R, G and B")
+        finding = "channel Y is not the luminance of R, G and B"
+        raise InputError(path, finding, "one luminance", "write only Y, or only R, G and B")
     return luminance, note
 
 
@@ -654,10 +665,11 @@ def _luminance(
 def _chosen(
     headers: Sequence[Mapping[str, Any]], name: str, path: Path
 ) -> tuple[int, Mapping[str, str], str]:
-    """Return the part and channels of the picture with this name, or of the only one, and a note.
+    """Return part and channels of the picture with this name, or of the only one, and a note.
 
-    headers: of each part of an .exr; name : "" for the only one. Plain channels are the picture of
-    a file with one part: a note names layers next to them. Raises InputError, with the names, if
+    headers: of each part of an .exr; name: of the part, layer or view, "" for the only one. The
+    channels are plain name by the name in the file. Plain channels are the picture of a file with
+    one part: the note, else "", names layers next to them. Raises InputError, with the names, if
     several parts, layers or views could be meant, if there is no such name, and for a file without
     a flat picture with Y or R, G, B.
     """
@@ -700,8 +712,8 @@ def _is_deep(header: Mapping[str, Any]) -> bool:
 def _pictures(headers: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, int, Mapping[str, str]]]:
     """Yield name, part and channels of each flat picture; a part's plain channels come first.
 
-    name : of part, layer or view; "" for plain channels of a file with one part without a name.
-    channels : plain name, such as R, by the name in the file.
+    name: of part, layer or view; "" for plain channels of a file with one part without a name.
+    channels: plain name, such as R, by the name in the file.
     """
     several = len(headers) > 1
     for part, header in enumerate(headers):
@@ -710,18 +722,19 @@ def _pictures(headers: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, int, 
         layers = [prefix for prefix in prefixes if _is_picture(prefix, names)]
         for prefix in layers:
             layer = prefix.rstrip(".") or next(iter(_stereo_views(header)), "")
-            own = str(header.get("name", "")) if several or not layer else ""
+            part_name = str(header.get("name", "")) if several or not layer else ""
             if several and len(layers) == 1:
                 layer = ""
-            wanted = ("Y", "R", "G", "B") if prefix else ("Y", "R", "G", "B", "u", "flags")
-            channels = {f"{prefix}{c}": c for c in wanted if f"{prefix}{c}" in names}
-            yield ".".join(filter(None, (own, layer))), part, channels
+            plain = ("Y", "R", "G", "B") if prefix else ("Y", "R", "G", "B", "u", "flags")
+            channels = {f"{prefix}{c}": c for c in plain if f"{prefix}{c}" in names}
+            yield ".".join(filter(None, (part_name, layer))), part, channels
 
 
 def _is_picture(prefix: str, names: Sequence[str]) -> bool:
-    """Return whether a layer has R, G, B, or a luminance Y.
+    """Return whether a layer has the channels R, G, B, or a luminance Y.
 
-    X, Y, Z of a layer are a position or a normal; without a layer they are CIE XYZ.
+    prefix: of the layer's names, such as "glare."; "" for plain channels; names: of the part's
+    channels. X, Y, Z of a layer are a position or a normal; without a layer they are CIE XYZ.
     """
     has_y = f"{prefix}Y" in names and (not prefix or f"{prefix}X" not in names)
     return has_y or all(f"{prefix}{c}" in names for c in "RGB")

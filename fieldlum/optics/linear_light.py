@@ -28,7 +28,8 @@ from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import LensGeometry, signed_angle_deg
 from fieldlum.optics.raw import Mosaic, same_model
 
-# relative: times or apertures closer than this are one setting (settings differ by 12 %); chosen
+# Shutter times or apertures with a smaller relative difference are one setting; chosen. Settings
+# differ by 12 %.
 SAME_LABEL = 0.02
 # Floor of the relative uncertainty of the exposure ratio of two frames: linearity of the sensor,
 # change of light within a second. Well below the shutter priors; not measured.
@@ -38,7 +39,7 @@ U_FRAME_RATIO = 5e-4
 def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraProfile) -> None:
     """Raise InputError for a frame whose size or camera model differs from the profile's.
 
-    shape : (height, width, ...); model : as recorded in the file, "" if it is not.
+    shape: (height, width, ...); model: as recorded in the file, "" if it is not.
     """
     body = profile.camera
     if shape[:2] != (body.height_px, body.width_px):
@@ -58,24 +59,24 @@ def black_dn(mosaic: Mosaic, profile: CameraProfile) -> Sequence[float]:
 
 
 def saturation_plateau(counts: NDArray[np.integer], white_dn: float) -> float | None:
-    """Return the count at which a sensor saturates [DN]; None if the histogram has no such spike.
+    """Return the count at which a sensor saturates [DN]; None if these counts do not show it.
 
-    counts : raw counts of any shape; white_dn : the white level in the file. Many sensors saturate
-    below that white level. The spike is the run of counts up to the highest count (without a few
-    hot pixels), if that is at least half of white_dn, and the run has at least 8 pixels, 0.02 % of
-    all pixels and ten times the average of equal runs below it, which a bright smooth scene has
-    not. The result is its mean count.
+    counts: raw counts of any shape; white_dn: the white level in the file, below which many sensors
+    saturate. Saturated pixels are a spike at the upper end of the histogram; the result is its mean
+    count. The highest count (without a few hot pixels) must be at least half of white_dn, and the
+    spike must have at least 8 pixels, 0.02 % of all pixels and ten times the pixels of equal runs
+    of counts below it, as no bright smooth scene has.
     """
     flat = np.maximum(counts.ravel(), 0)
-    of_count = np.bincount(flat, minlength=1)
-    above = flat.size - np.cumsum(of_count)  # pixels above each count
+    pixels_of_count = np.bincount(flat, minlength=1)
+    above = flat.size - np.cumsum(pixels_of_count)  # pixels above each count
     top = int(np.argmax(above <= max(8, 2e-5 * flat.size)))
-    width = max(1, round(0.002 * white_dn))
-    histogram = of_count[max(top + 1 - 12 * width, 0) : top + 1][::-1]  # from the highest count
-    spike, below = histogram[:width].sum(), histogram[2 * width :].sum() / 10
+    width = max(1, round(0.002 * white_dn))  # of the spike, in counts
+    downwards = pixels_of_count[max(top + 1 - 12 * width, 0) : top + 1][::-1]  # from the highest
+    spike, below = downwards[:width].sum(), downwards[2 * width :].sum() / 10
     if top < 0.5 * white_dn or spike < max(2e-4 * flat.size, 8, 10 * below):
         return None
-    return float(top - np.average(np.arange(width), weights=histogram[:width]))
+    return float(top - np.average(np.arange(width), weights=downwards[:width]))
 
 
 def full_dn(
@@ -104,7 +105,7 @@ def curve_u_rel(profile: CameraProfile) -> float:
 def gain_e_per_dn(iso: float, profile: CameraProfile) -> float:
     """Return the sensor's gain at an ISO, in electrons per count (DN).
 
-    iso : of the exposure; the profile states the gain at another one.
+    iso: of the exposure; the profile states the gain at another one.
     """
     return profile.sensor.gain_e_per_dn * profile.sensor.iso / iso
 
@@ -134,9 +135,9 @@ def stated_law(nominal_s: Sequence[float], profile: CameraProfile) -> ShutterLaw
 
 
 def frame_z_per_cdm2(exposure: Exposure, profile: CameraProfile) -> float:
-    """Return how much linear signal z (1 at full scale) 1 cd/m2 causes in a frame.
+    """Return the linear signal z (1 at full scale) that 1 cd/m2 causes in a frame without a filter.
 
-    The true shutter time counts; the filter in `exposure` does not.
+    exposure: of the frame, with its nominal shutter time, which is converted to the true one.
     """
     shutter_s, _ = true_shutter_s(exposure.shutter_s, profile)
     return z_per_cdm2(shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
@@ -145,8 +146,8 @@ def frame_z_per_cdm2(exposure: Exposure, profile: CameraProfile) -> float:
 def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
     """Return the light without a filter over the light through it, at least 1, for R, G, B.
 
-    name : of the filter; "" for none, which gives (1, 1, 1). Raises InputError for a filter that
-    the profile does not have.
+    name: of the filter; "" for none, which gives (1, 1, 1). Raises InputError for a filter that the
+    profile does not have.
     """
     factors = {"": (1.0, 1.0, 1.0), **{nd.name: nd.factor_rgb for nd in profile.nd}}
     if name in factors:
@@ -159,7 +160,7 @@ def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
 def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
     """Return a lens's vignetting at an aperture: coefficients of V, and relative u at the edge.
 
-    f_number : of the aperture. V is the transmission relative to the axis, in powers of the angle
+    f_number: of the aperture. V is the transmission relative to the axis, in powers of the angle
     over half of the full angle, from power 0. An aperture without a curve uses the nearest curve,
     at most 0.4 stops away; a lens without any curve has V = 1 and no uncertainty. Raises InputError
     for other apertures and for an impossible curve.
@@ -200,8 +201,8 @@ def lens_geometry(
 ) -> LensGeometry:
     """Return the lens's geometry in pixels of a crop of the sensor, with the camera turned.
 
-    turn_deg : the camera's heading minus the panorama's, clockwise, added to the lens's azimuth;
-    corner_px : x, y of the crop's top left corner on the sensor.
+    turn_deg: the camera's heading minus the panorama's, clockwise, added to the lens's azimuth;
+    corner_px: x, y of the crop's top left corner on the sensor.
     """
     x, y = lens.centre_px
     return replace(

@@ -38,10 +38,11 @@ ATTRIBUTE = "melanopic"  # of a picture: weights of R, G and B, and the ratio's 
 
 
 def attribute_text(melanopic_from_rgb: Floats, rgb_to_radiance: Floats, u_rel: float) -> str:
-    """Return the attribute of a picture whose R, G, B are the camera's times a matrix.
+    """Return the weights of a picture's R, G, B in melanopic luminance, as text for its file.
 
-    melanopic_from_rgb [3] : weights of the camera's colours; rgb_to_radiance [3, 3] : that matrix;
-    u_rel : relative standard uncertainty under daylight. `melanopic_ratio` reads the text.
+    melanopic_from_rgb [3]: weights of the camera's colours; rgb_to_radiance [3, 3]: matrix from
+    these to the picture's colours; u_rel: relative standard uncertainty under daylight, the last
+    number of the text. `melanopic_ratio` reads it.
     """
     weights = np.asarray(melanopic_from_rgb) @ np.linalg.inv(rgb_to_radiance)
     return " ".join(f"{value:.6g}" for value in (*weights, u_rel))
@@ -74,9 +75,9 @@ def melanopic_edi(
 ) -> tuple[Floats, Floats]:
     """Return melanopic EDI and its standard uncertainty in d view directions, [d] each, in lx.
 
-    luminance_cdm2 : of the pixels, flat [n], without the sun. weights_sr [n, d] : solid angle times
-    cosine. sun : separate from the pixels, with the illuminance sun_ev_lx [d] in each direction.
-    lamps : electric light is on, or off; None if unknown. With it the map's part is `LAMP_RATIO` of
+    luminance_cdm2: of the pixels, flat [n], without the sun. weights_sr [n, d]: solid angle times
+    cosine. sun: separate from the pixels, with the illuminance sun_ev_lx [d] in each direction.
+    lamps: electric light is on, or off; None if unknown. With it the map's part is `LAMP_RATIO` of
     that by colour, because the spectra of most LED have a gap at 480 nm. Without calibrated colour
     the first result is the illuminance, an estimate with the spectrum of D65, and the second is
     NaN. Errors of all pixels count as equal in sign.
@@ -86,24 +87,24 @@ def melanopic_edi(
     if colour is None:
         return map_lx + sun_ev_lx, np.full_like(map_lx, np.nan)
     edi = (luminance_cdm2 * colour[0].ravel()) @ weights_sr * (LAMP_RATIO if lamps else 1.0)
-    own_lx, u = panorama.luminance_cdm2.ravel() @ weights_sr, panorama.u_cdm2
-    u_map = np.nan if u is None else np.nan_to_num(u.ravel()) @ weights_sr
-    u_map = u_map / np.maximum(own_lx, 1e-9)
-    u_map = np.hypot(u_map, ratio_u_rel(edi / np.maximum(map_lx, 1e-9), colour[1], lamps=lamps))
+    own_lx, u_cdm2 = panorama.luminance_cdm2.ravel() @ weights_sr, panorama.u_cdm2
+    u_lx = np.nan if u_cdm2 is None else np.nan_to_num(u_cdm2.ravel()) @ weights_sr
+    u_ratio_rel = ratio_u_rel(edi / np.maximum(map_lx, 1e-9), colour[1], lamps=lamps)
+    u_map_rel = np.hypot(u_lx / np.maximum(own_lx, 1e-9), u_ratio_rel)
     sun_edi = sun_ev_lx * (np.zeros(1) if sun is None else sun_melanopic_ratio(sun.altitude_deg))
-    return edi + sun_edi, np.hypot(edi * u_map, sun_edi * U_SUN)
+    return edi + sun_edi, np.hypot(edi * u_map_rel, sun_edi * U_SUN)
 
 
 def sun_melanopic_ratio(altitude_deg: Floats | float) -> Floats:
     """Return melanopic over photopic illuminance of direct sunlight, without glazing, [...].
 
-    altitude_deg : apparent [...]; below 0 it counts as 0. The relative air mass is that of Kasten
-    and Young 1989.
+    altitude_deg: apparent [...]; below 0 it counts as 0.
     """
     return np.asarray(_SUN_RATIO * np.exp(-_SUN_RATIO_DECAY * _air_mass(altitude_deg)))
 
 
 def _air_mass(altitude_deg: Floats | float) -> Floats:
+    """Return the relative air mass of Kasten and Young 1989; altitudes below 0 count as 0."""
     altitude = np.maximum(altitude_deg, 0.0)
     return 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
 
@@ -111,7 +112,7 @@ def _air_mass(altitude_deg: Floats | float) -> Floats:
 def ratio_u_rel(ratio: Floats, u_rel: float, *, lamps: bool | None = None) -> Floats:
     """Return the relative standard uncertainty of melanopic ratios [...], in their shape.
 
-    u_rel : under daylight. lamps : electric light is on, or off; None if unknown. The spectrum of a
+    u_rel: under daylight. lamps: electric light is on, or off; None if unknown. The spectrum of a
     lamp does not follow from its colour, but few lamps have the colour of a blue sky.
     """
     return np.hypot(u_rel, np.interp(ratio, _LAMP_RATIOS, _U_LAMPS) * (lamps is not False))
@@ -136,7 +137,7 @@ _SUN_X, _SUN_Z, _SUN_MAX_MASS = (0.000287, 0.007412, -0.049279), (-0.1163, 0.032
 def daylight_xy(cct_k: ArrayLike) -> tuple[Floats, Floats]:
     """Return x and y of CIE daylight, [...] each.
 
-    cct_k : correlated colour temperature [...], 4000 to 25 000 K. Source: CIE 15.
+    cct_k: correlated colour temperature [...], 4000 to 25 000 K. Source: CIE 15.
     """
     inverse = 1.0 / np.asarray(cct_k, float)
     low = np.asarray(cct_k) <= 7000.0
@@ -145,21 +146,25 @@ def daylight_xy(cct_k: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def sky_xyz(luminance_cdm2: Floats, clearness: Floats) -> Floats:
-    """Return X, Y = 1 and Z of places of the sky [..., 3], all on the locus of CIE daylight.
+    """Return X, Z and Y = 1 of places of the sky, in the order X, Y, Z [..., 3].
 
-    clearness : Perez's epsilon, in a shape that broadcasts to that of luminance_cdm2 [...].
+    The colours are those of CIE daylight. luminance_cdm2 [...]: of the places; clearness: Perez's
+    epsilon, in a shape that broadcasts to [...].
     """
     decades = np.log10(np.maximum(luminance_cdm2, 1.0))
     clear = _CLEAR_MIRED + _CLEAR_MIRED_PER_DECADE * decades
     share = (clearness - _OVERCAST_CLEARNESS) / (_CLEAR_CLEARNESS - _OVERCAST_CLEARNESS)
     share = np.clip(share, 0.0, 1.0)
-    mired = share * clear + (1.0 - share) * 1e6 / _OVERCAST_K
+    mired = share * clear + (1.0 - share) * 1e6 / _OVERCAST_K  # 1e6 / colour temperature [K]
     x, y = daylight_xy(1e6 / np.clip(mired, 40.0, 250.0))  # 25 000 to 4000 K
     return np.stack([x / y, np.ones_like(x), (1.0 - x - y) / y], axis=-1)
 
 
 def sun_xyz(altitude_deg: Floats) -> Floats:
-    """Return X, Y = 1 and Z of direct sunlight [..., 3]; altitude_deg : apparent."""
+    """Return X, Z and Y = 1 of direct sunlight, in the order X, Y, Z [..., 3].
+
+    altitude_deg [...]: apparent altitude of the sun.
+    """
     mass = np.minimum(_air_mass(altitude_deg), _SUN_MAX_MASS)
     x, z = (np.exp(np.polyval(p, mass)) for p in (_SUN_X, _SUN_Z))
     return np.stack([x, np.ones_like(x), z], axis=-1)

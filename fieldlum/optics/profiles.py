@@ -12,12 +12,13 @@ from fieldlum.core.errors import InputError, did_you_mean
 from fieldlum.core.files import write_file
 from fieldlum.core.records import CameraSetup, Cfa, Exposure, Slot, counted
 from fieldlum.core.strict_toml import NotNegative, Positive, Share, build, plain, read_toml
-from fieldlum.optics.camera_curves import rises
+from fieldlum.optics.camera_curves import corrected_counts_rise
 from fieldlum.optics.projection import LensGeometry, angle_of_radius, judged_text, seen_by_lenses
 
 _Side = Annotated[int, Meta(gt=0, le=100_000)]  # px
 _OfColours = Annotated[tuple[float, ...], Meta(min_length=4, max_length=4)]  # R, G1, G2, B
-# The shipped starts have 0.15 (vignetting), 0.2 and 0.5; the worst calibrated one has 0.05.
+# Shipped profiles to start a calibration with have 0.15 (vignetting), 0.2 and 0.5; the worst
+# calibrated one has 0.05.
 _U_NOT_CALIBRATED = 0.1
 
 # ----------------------------------------------------------------------------------------------
@@ -175,9 +176,10 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class StrayLight:
-    """Stray light of the lenses: the kernel K at ascending angles; empty if not calibrated.
+    """Stray light of the lenses: the kernel K [1/sr] at ascending angles; empty if not calibrated.
 
-    See optics/stray_light.py; u_rel is relative to the stray light, not to the luminance.
+    K is the share of a direction's light that appears in each steradian at that angle from it
+    (optics/stray_light.py). u_rel is relative to the stray light, not to the luminance.
     """
 
     angle_deg: tuple[float, ...] = ()
@@ -199,7 +201,7 @@ class NeutralDensity:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """The origin of a profile's values: source, who fitted them, frames' hashes, log.
+    """The origin of a profile's values: source, who fitted them, hashes of the frames used, log.
 
     log: one line for each fit, with the choice and its reason.
     """
@@ -252,10 +254,10 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         raise InputError(where, finding, expected, correct)
 
 
-def _problems(p: CameraProfile) -> Iterator[_Problem]:
+def _problems(profile: CameraProfile) -> Iterator[_Problem]:
     """Yield values of lenses, sensor, colour, response and stray light that no camera has."""
     fit_again = "fit it again: fieldlum calibrate lens"
-    for lens in (lens for lens in p.lens if lens.mapping == "polynomial"):
+    for lens in (lens for lens in profile.lens if lens.mapping == "polynomial"):
         terms = list(lens.coefficients) or "no coefficients"
         finding = f"lens '{lens.name}': polynomial of {terms}"
         try:
@@ -265,22 +267,26 @@ def _problems(p: CameraProfile) -> Iterator[_Problem]:
         if abs(sum(lens.coefficients) - 1.0) > 0.02:
             total = f"{finding}, with the sum {sum(lens.coefficients):g}"
             yield total, "coefficients that sum to 1", fit_again
-    black, saturation = p.sensor.black_dn, p.sensor.saturation_dn
-    if not max(black) < min(*saturation, p.sensor.white_dn):
+    black, saturation = profile.sensor.black_dn, profile.sensor.saturation_dn
+    if not max(black) < min(*saturation, profile.sensor.white_dn):
         yield f"[sensor] black_dn = {max(black):g}", "less than saturation_dn and white_dn"
-    if not rises(p.sensor.linearity):
-        finding, remedy = f"sensor.linearity = {list(p.sensor.linearity)}", "calibrate it again"
+    if not corrected_counts_rise(profile.sensor.linearity):
+        finding, remedy = (
+            f"sensor.linearity = {list(profile.sensor.linearity)}",
+            "calibrate it again",
+        )
         yield finding, "corrected counts that rise with the raw counts", remedy
-    radiance, melanopic = len(p.colour.rgb_to_radiance), len(p.colour.melanopic_from_rgb)
+    colour, stray = profile.colour, profile.stray
+    radiance, melanopic = len(colour.rgb_to_radiance), len(colour.melanopic_from_rgb)
     if radiance not in (0, 9):
         yield f"colour.rgb_to_radiance has {radiance} values", "9 values, or none"
     if melanopic not in (0, 3) or (melanopic and not radiance):
         finding = f"colour.melanopic_from_rgb has {melanopic} values, rgb_to_radiance {radiance}"
         yield finding, "3 values next to 9 of rgb_to_radiance, or none"
-    low, high = p.response.low_code, p.response.high_code
+    low, high = profile.response.low_code, profile.response.high_code
     if not 0 <= low < high <= 255:
         yield f"response.low_code {low}, high_code {high}", "0 <= low < high <= 255"
-    angles, values = p.stray.angle_deg, p.stray.per_sr
+    angles, values = stray.angle_deg, stray.per_sr
     rising = all(a < b for a, b in pairwise(angles))
     if len(angles) != len(values) or not rising or not all(0 < a <= 180 for a in angles):
         finding = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
@@ -297,7 +303,7 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def shipped(kind: Literal["calibration", "capture_plans"]) -> Path:
-    """Return the folder of the files that fieldlum ships, in a wheel or in a checkout."""
+    """Return the folder of the shipped files of a kind, in a wheel or in a checkout."""
     in_wheel = _PACKAGE / "_shipped" / kind
     return in_wheel if in_wheel.is_dir() else _PACKAGE.parent / kind
 
@@ -305,7 +311,8 @@ def shipped(kind: Literal["calibration", "capture_plans"]) -> Path:
 def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
     """Return one sentence on the view directions that lenses and headings see; "" if all.
 
-    If the heading and its opposite would see all directions, the text names these two.
+    setup: heading, or headings, of the camera. If the heading and its opposite would see all
+    directions, the text names these two.
     """
     heading_deg = setup.heading_deg
     turns = [heading - heading_deg for heading in setup.headings or (heading_deg,)]
@@ -360,8 +367,9 @@ def turning_text(setup: CameraSetup) -> str:
 def uncalibrated_text(profile: CameraProfile) -> str:
     """Return one sentence on the parts of a profile that are not calibrated; "" if all are.
 
-    A part is not calibrated without a date of calibration, or while it has the uncertainty of a
-    start (`_U_NOT_CALIBRATED`): `calibrate` sets the date with the first part that it fits.
+    Without a date of calibration no part is calibrated: `calibrate` sets the date with the first
+    part that it fits. With a date, a part is not calibrated while its uncertainty is over
+    `_U_NOT_CALIBRATED`, as in a profile to start with.
     """
     vignetting = max((v.u_rel for lens in profile.lens for v in lens.vignetting), default=0.0)
     parts = {"scale": profile.scale.u_rel, "colour": profile.colour.u_rel, "vignetting": vignetting}
@@ -410,7 +418,7 @@ def save_profile(path: Path, profile: CameraProfile) -> None:
 
 
 def bracket_exposures(bracket: Bracket, filter_name: str = "") -> tuple[Exposure, ...]:
-    """Return exposures without a filter, then those with a filter; each longest time first.
+    """Return the exposures without a filter, then those through one; each longest time first.
 
     filter_name: the filter whose exposures of the profile are added; "" for none.
     """

@@ -28,7 +28,7 @@ from fieldlum.core.strict_toml import Positive
 def row_solid_angles(height: int, width: int) -> Floats:
     """Return the solid angle of one pixel of each row of a panorama, in sr, [H].
 
-    height, width : H, W in pixels; all pixels sum to 4 pi.
+    height, width: H, W in pixels; all pixels sum to 4 pi.
     """
     edges = np.cos(np.linspace(0.0, np.pi, height + 1))
     return (edges[:-1] - edges[1:]) * 2.0 * np.pi / width
@@ -42,7 +42,7 @@ def equirect_solid_angles(height: int, width: int) -> Floats:
 def column_azimuths_deg(width: int, heading_deg: float) -> Floats:
     """Return the azimuth of each column's centre, clockwise from north, in [0, 360) deg, [W].
 
-    width : W; heading_deg : azimuth of the panorama's middle.
+    width: W; heading_deg: azimuth of the panorama's middle.
     """
     return (heading_deg + ((np.arange(width) + 0.5) / width - 0.5) * 360.0) % 360.0
 
@@ -66,10 +66,10 @@ def signed_angle_deg(angle_deg: ArrayLike) -> Floats:
 
 
 def smallest_arc(used: Mask) -> tuple[int, int]:
-    """Return first column and width of the shortest run of columns with all that are marked.
+    """Return first column and width of the shortest run of columns that contains all marked ones.
 
-    used: mask of a panorama's columns [W], of which one is marked at least; the run may pass the
-    last column.
+    used: mask of a panorama's columns [W], of which at least one is marked. The run may continue
+    from the last column to the first.
     """
     columns = np.flatnonzero(used)
     gaps = np.diff(columns, append=columns[0] + len(used))
@@ -80,7 +80,7 @@ def smallest_arc(used: Mask) -> tuple[int, int]:
 def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:
     """Return unit vectors (x east, y north, z up), [..., 3]; azimuth clockwise from north.
 
-    altitude_deg, azimuth_deg : shapes that broadcast to [...].
+    altitude_deg, azimuth_deg: shapes that broadcast to [...].
     """
     alt, az = np.radians(altitude_deg), np.radians(azimuth_deg)
     parts = (np.cos(alt) * np.sin(az), np.cos(alt) * np.cos(az), np.sin(alt))
@@ -99,8 +99,8 @@ def altitude_azimuth_deg(rays: Array) -> tuple[Floats, Floats]:
 def equirect_rays(height: int, width: int, heading_deg: float) -> Floats:
     """Return the unit vector (x east, y north, z up) of each panorama pixel's centre, [H, W, 3].
 
-    height, width : H, W; row 0 is at the zenith; heading_deg : azimuth of the middle, clockwise
-    from north.
+    height, width: H, W; row 0 is at the zenith; heading_deg: azimuth of the middle, clockwise from
+    north.
     """
     return direction(
         row_altitudes_deg(height)[:, None], column_azimuths_deg(width, heading_deg)[None, :]
@@ -112,7 +112,7 @@ def equirect_pixel(
 ) -> tuple[Floats, Floats]:
     """Return the continuous (row, column) of directions in a panorama, [...] each.
 
-    altitude_deg, azimuth_deg : of the directions [...]; height, width : in pixels; heading_deg :
+    altitude_deg, azimuth_deg: of the directions [...]; height, width: in pixels; heading_deg :
     azimuth of the middle. Pixel (i, j) covers [i, i + 1) x [j, j + 1); row 0 is the zenith, column
     W / 2 the heading. Columns wrap into [0, W).
     """
@@ -129,13 +129,11 @@ def compass_name(azimuth_deg: float) -> str:
     return _COMPASS[round(azimuth_deg / 22.5) % 16]
 
 
-def turned(direction: ArrayLike, clockwise_deg: float) -> Floats:
+def turned(vectors: ArrayLike, clockwise_deg: float) -> Floats:
     """Return vectors [..., 3] (x east, y north, z up) turned clockwise, seen from above."""
-    d = np.asarray(direction, float)
-    angle = np.radians(clockwise_deg)
-    x = d[..., 0] * np.cos(angle) + d[..., 1] * np.sin(angle)
-    y = -d[..., 0] * np.sin(angle) + d[..., 1] * np.cos(angle)
-    return np.stack((x, y, d[..., 2]), axis=-1)
+    x, y, z = np.moveaxis(np.asarray(vectors, float), -1, 0)
+    sine, cosine = np.sin(np.radians(clockwise_deg)), np.cos(np.radians(clockwise_deg))
+    return np.stack((x * cosine + y * sine, -x * sine + y * cosine, z), axis=-1)
 
 
 def rotation(heading_deg: float, tilt_deg: float, roll_deg: float, axis_deg: float) -> Floats:
@@ -147,8 +145,8 @@ def rotation(heading_deg: float, tilt_deg: float, roll_deg: float, axis_deg: flo
     """
     from scipy.spatial.transform import Rotation
 
-    a = np.radians(axis_deg)
-    ahead, right = np.array([np.sin(a), np.cos(a), 0.0]), np.array([np.cos(a), -np.sin(a), 0.0])
+    sine, cosine = np.sin(np.radians(axis_deg)), np.cos(np.radians(axis_deg))
+    ahead, right = np.array([sine, cosine, 0.0]), np.array([cosine, -sine, 0.0])
     tilt, roll = np.radians(tilt_deg), np.radians(roll_deg)
     tilted, rolled = Rotation.from_rotvec([tilt * right, roll * ahead]).as_matrix()
     return turned(np.eye(3), heading_deg).T @ tilted @ rolled
@@ -199,16 +197,16 @@ class LensGeometry:
 def relative_radius(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
     """Return the distance of sensor points from the image centre over radius_px, [...].
 
-    x_px, y_px : on the sensor [...].
+    x_px, y_px: on the sensor [...].
     """
     dx, dy = np.subtract(x_px, lens.centre_px[0]), np.subtract(y_px, lens.centre_px[1])
     return np.hypot(dx, dy) / lens.radius_px
 
 
 def radius_of_angle(lens: LensGeometry, angle_rad: ArrayLike) -> Floats:
-    """Return the distance from the image centre over radius_px, [...].
+    """Return the distance from the image centre over radius_px at angles from the axis, [...].
 
-    angle_rad : from the optical axis [...]. The result is 1 at half of the full angle.
+    angle_rad: from the optical axis [...]. The result is 1 at half of the full angle.
     """
     angle = np.asarray(angle_rad, float)
     half = lens.half_angle_rad
@@ -222,9 +220,10 @@ def radius_of_angle(lens: LensGeometry, angle_rad: ArrayLike) -> Floats:
 
 @lru_cache(maxsize=16)
 def _inverse_table(lens: LensGeometry) -> tuple[Floats, Floats]:
-    """Return radius and angle [rad] up to where the polynomial stops rising, [n] each.
+    """Return radius (over radius_px) and angle [rad] of a polynomial mapping, [n] each, rising.
 
-    Raises ValueError if it stops rising inside the image circle.
+    The table ends where the polynomial stops rising. Raises ValueError if that is inside the image
+    circle.
     """
     angles = np.linspace(0.0, min(1.15 * lens.half_angle_rad, np.pi), 4001)
     radii = radius_of_angle(lens, angles)
@@ -238,8 +237,8 @@ def _inverse_table(lens: LensGeometry) -> tuple[Floats, Floats]:
 def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> Floats:
     """Return the angle from the axis [rad] of radii: the inverse of `radius_of_angle`, [...].
 
-    radius : distance from the image centre over radius_px [...]. Beyond the reach of a polynomial
-    or equisolid mapping the largest angle is returned. Raises ValueError for a polynomial that does
+    radius: distance from the image centre over radius_px [...]. Beyond the reach of a polynomial or
+    equisolid mapping the largest angle is returned. Raises ValueError for a polynomial that does
     not rise up to half of the full angle.
     """
     r = np.asarray(radius, float)
@@ -253,7 +252,7 @@ def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> Floats:
 def lens_pixels(lens: LensGeometry, rays: Floats) -> tuple[Floats, Floats, Floats]:
     """Return sensor x, y [px] and angle from the axis [rad] of unit vectors, [...] each.
 
-    rays : [..., 3], y along the panorama's heading, z up. (0, 0) is the sensor's top left corner.
+    rays: [..., 3], y along the panorama's heading, z up. (0, 0) is the sensor's top left corner.
     """
     right, up, forward = np.moveaxis(np.asarray(rays, float) @ lens.axes().T, -1, 0)
     across = np.hypot(right, up)
@@ -265,7 +264,7 @@ def lens_pixels(lens: LensGeometry, rays: Floats) -> tuple[Floats, Floats, Float
 def lens_rays(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
     """Return the unit vectors [..., 3] of sensor points; the inverse of `lens_pixels`.
 
-    x_px, y_px : on the sensor [...]. The vectors have y along the panorama's heading and z up.
+    x_px, y_px: on the sensor [...]. The vectors have y along the panorama's heading and z up.
     Raises ValueError as `angle_of_radius` does.
     """
     dx = np.asarray(x_px, float) - lens.centre_px[0]
@@ -309,14 +308,17 @@ class Equirect:
     def rays(self, rows: Floats, columns: Floats) -> Floats:
         """Return unit vectors at each continuous row and column, [rows, columns, 3].
 
-        rows, columns : 0 to the grid's height and width. x right, y ahead, z up.
+        rows, columns: 0 to the grid's height and width. x right, y ahead, z up.
         """
         altitude = 90.0 - (rows + self.corner[0]) / self.height * 180.0
         azimuth = ((columns + self.corner[1]) / (2 * self.height) - 0.5) * 360.0
         return direction(altitude[:, None], azimuth[None, :])
 
     def weight(self, rows: Floats, columns: Floats) -> Floats:
-        """Return the sine of the zenith angle at continuous rows and columns, [rows, columns]."""
+        """Return the solid angle of places over that at the horizon, [rows, columns].
+
+        It is the sine of the zenith angle at continuous rows and columns.
+        """
         down = np.sin((rows + self.corner[0]) / self.height * np.pi)
         return np.broadcast_to(down[:, None], (rows.size, columns.size))
 
@@ -331,7 +333,7 @@ class Equirect:
 class Fisheye:
     """A square equidistant picture (Radiance -vta) of `size` x `size` pixels.
 
-    lens: with full angle, azimuth, tilt and roll of the picture, and the mapping `of_size` gives.
+    lens: the picture as a lens, with its full angle, azimuth, tilt and roll.
     """
 
     size: int
@@ -339,7 +341,7 @@ class Fisheye:
 
     @classmethod
     def of_size(cls, size: int, lens: LensGeometry) -> Fisheye:
-        """Return a picture of size x size pixels with the full angle and the pose of a lens."""
+        """Return an equidistant picture with the full angle and the pose of any lens."""
         half = size / 2
         circle = {"centre_px": (half, half), "radius_px": half}
         return cls(size, replace(lens, **circle, mapping="equidistant", coefficients=()))
@@ -369,7 +371,10 @@ class Fisheye:
         return lens_rays(self.lens, columns[None, :], rows[:, None])
 
     def weight(self, rows: Floats, columns: Floats) -> Floats:
-        """Return sin(a) / a, a the angle from the axis, [rows, columns]; 0 outside the circle."""
+        """Return the solid angle of places over that on the axis, [rows, columns].
+
+        It is sin(a) / a, with a the angle from the axis, and 0 outside the circle.
+        """
         radius = relative_radius(self.lens, columns[None, :], rows[:, None])
         angle = radius * self.lens.half_angle_rad
         return np.where(radius <= 1.0, np.abs(np.sinc(angle / np.pi)), 0.0)
@@ -396,8 +401,8 @@ SEEN, PARTLY_SEEN, NOT_SEEN = "seen", "partly seen", "not seen"
 def seen_shares(seen_mask: Mask, heading_deg: float, azimuths_deg: ArrayLike) -> Floats:
     """Return the share, 0 to 1, of a uniform field's vertical illuminance that was seen, [d].
 
-    seen_mask : [H, W], True for panorama pixels that a lens saw; heading_deg : azimuth of the
-    panorama's middle; azimuths_deg : [d], horizontal view directions, clockwise from north.
+    seen_mask: [H, W], True for panorama pixels that a lens saw; heading_deg: azimuth of the
+    panorama's middle; azimuths_deg: [d], horizontal view directions, clockwise from north.
     """
     height, width = seen_mask.shape
     rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
@@ -423,24 +428,22 @@ def seen_by_lenses(
 ) -> Mask:
     """Return True for panorama pixels whose centre at least one lens sees, [height, 2 height].
 
-    The middle of the panorama is at its heading. turns_deg : headings of the turned camera minus
-    the panorama's heading; (0,) for a fixed camera.
+    The middle of the panorama is at its heading. turns_deg: headings of the turned camera minus the
+    panorama's heading; (0,) for a fixed camera.
     """
     rays = equirect_rays(height, 2 * height, 0.0)
-    out = np.zeros(rays.shape[:2], bool)
-    for lens, turn in product(lenses, turns_deg):
-        axis = direction(lens.tilt_deg, lens.azimuth_deg + turn)
-        out |= rays @ axis >= np.cos(lens.half_angle_rad)
-    return out
+    seen = np.zeros(rays.shape[:2], bool)
+    for lens, turn_deg in product(lenses, turns_deg):
+        axis = direction(lens.tilt_deg, lens.azimuth_deg + turn_deg)
+        seen |= rays @ axis >= np.cos(lens.half_angle_rad)
+    return seen
 
 
 def judged_text(seen_mask: Mask, heading_deg: float) -> str:
     """Return one sentence on which views can be judged from these pixels; empty if all can.
 
-    Directions are rounded to degrees, clockwise from north, with points of the compass.
-
-    seen_mask : [H, W], True for panorama pixels that a lens saw; heading_deg : azimuth of the
-    panorama's middle.
+    Directions are in full degrees, clockwise from north, with points of the compass. seen_mask: [H,
+    W], True for panorama pixels that a lens saw; heading_deg: azimuth of the panorama's middle.
     """
     words = seen_words(seen_shares(seen_mask, heading_deg, np.arange(360.0)))
     if all(word == SEEN for word in words):
@@ -456,7 +459,10 @@ def judged_text(seen_mask: Mask, heading_deg: float) -> str:
 
 
 def _arcs_text(good: Sequence[bool]) -> str:
-    """Return the arcs of consecutive good degrees around the circle as text."""
+    """Return the arcs of marked azimuths as text, such as "350° (N) to 10° (N)".
+
+    good [360]: whether each full degree, clockwise from north, is marked.
+    """
     if all(good):
         return "every direction"
     starts = [k for k in range(360) if good[k] and not good[k - 1]]

@@ -21,8 +21,8 @@ _TABLE = 4096  # steps of sin(angle / 2); 0.03 degrees near 0
 def kernel_per_sr(angle_rad: Floats, nodes_deg: Floats, values_per_sr: Floats) -> Floats:
     """Return the stray-light kernel K [1/sr]: linear in ln(angle) between nodes, constant outside.
 
-    nodes_deg, values_per_sr : [k], ascending angles above 0 and K there. The result has the shape
-    of angle_rad.
+    nodes_deg, values_per_sr: [k], ascending angles above 0 and K there. The result has the shape of
+    angle_rad.
     """
     smallest = np.radians(nodes_deg[0])
     place = np.log(np.maximum(angle_rad, smallest))
@@ -38,9 +38,9 @@ def stray_cdm2(
 ) -> Floats:
     """Return the stray light at each pixel [n], in cd/m2, from the recorded luminances.
 
-    luminance_cdm2, solid_angle_sr : [n], 0 where the lens sees nothing; rays : [n, 3], unit;
-    nodes_deg, values_per_sr : [k], the kernel K as in `kernel_per_sr`. The recorded light is used
-    in place of the true light: an error of second order in K, which the fit of K makes in the same
+    luminance_cdm2, solid_angle_sr: [n], 0 where the lens sees nothing; rays: [n, 3], unit;
+    nodes_deg, values_per_sr: [k], the kernel K as in `kernel_per_sr`. The recorded light is used in
+    place of the true light: an error of second order in K, which the fit of K makes in the same
     way.
     """
     from scipy.ndimage import map_coordinates
@@ -48,6 +48,7 @@ def stray_cdm2(
     flux = luminance_cdm2 * solid_angle_sr
     row, column = equirect_pixel(*altitude_azimuth_deg(rays), _ROWS, 2 * _ROWS, 0.0)
     cells = np.minimum(row.astype(np.intp), _ROWS - 1) * 2 * _ROWS + column.astype(np.intp)
+    # light of each cell, and the mean direction of that light
     sums = [np.bincount(cells, flux * v, 2 * _ROWS**2) for v in (np.ones(len(rays)), *rays.T)]
     light, centre = np.asarray(sums[0], np.float64), np.stack(sums[1:], axis=1, dtype=np.float64)
     lit = light > 0
@@ -59,14 +60,18 @@ def stray_cdm2(
     table = kernel_per_sr(2 * half_angle, nodes_deg, values_per_sr)
     middles = equirect_rays(_ROWS, 2 * _ROWS, 0.0).reshape(-1, 3)
     grid = _field(middles, centre[lit & ~bright], light[lit & ~bright], table)
+    # 0.5 from edges to centres of cells, 1 for the column that `wrapped` adds
     places = [row - 0.5, column - 0.5 + 1.0]
-    wide = wrapped(grid.reshape(_ROWS, -1))
-    dim = map_coordinates(wide, places, order=1, mode="nearest")
+    dim = map_coordinates(wrapped(grid.reshape(_ROWS, -1)), places, order=1, mode="nearest")
     return dim + _field(rays, centre[bright], light[bright], table)
 
 
 def _field(at: Floats, sources: Floats, light: Floats, table: Floats) -> Floats:
-    """Return the sum over sources [m, 3] of K times their light [m], at directions [n, 3]."""
+    """Return the stray light of sources at directions `at` [n, 3]: the sum of K times light, [n].
+
+    sources [m, 3]: unit vectors; light [m]: luminance times solid angle [cd/m2 sr]; table: K [1/sr]
+    at equal steps of sin(angle / 2).
+    """
     out, block = np.zeros(len(at)), 512  # directions at a time, to limit memory
     for start in range(0, len(at), block):
         part = at[start : start + block]

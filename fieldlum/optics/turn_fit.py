@@ -14,9 +14,10 @@ from fieldlum.core.statistics import MAD_TO_SIGMA, cauchy_weights
 
 @dataclass(frozen=True, slots=True)
 class Contrasts:
-    """A factor on some values that is free in each group, and is therefore removed from a fit.
+    """Values with a free factor in each group, such as the contrast of each place.
 
-    values [m] : to which the factor belongs; group [m] : number of the group, from 0.
+    A fit removes the part of its equations that such factors explain. values [m]: what the factor
+    multiplies; group [m]: number of the group, from 0.
     """
 
     values: Floats
@@ -42,12 +43,12 @@ def fit_turn(
 ) -> tuple[Floats, Floats] | None:
     """Return the unknowns [k] of robust least squares, and their covariance [k, k].
 
-    design [m, k] : changes of the values by one unit of each unknown, the turn about three axes
-    first; target [m] : differences of the values; block [m] : numbers, from 0, of the parts of the
+    design [m, k]: changes of the values by one unit of each unknown, the turn about three axes
+    first; target [m]: differences of the values; block [m]: numbers, from 0, of the parts of the
     picture whose errors are independent of each other, for the covariance (sandwich estimate).
-    weights [m] : of the values, before the robust ones. contrasts : factors that are removed from
-    the values; None for none. Residuals beyond two standard deviations lose weight, because shadows
-    and people move. None if the edges do not determine the unknowns.
+    weights [m]: of the values, before the robust ones. contrasts: factors that are removed from the
+    values; None for none. Residuals beyond two standard deviations lose weight, because shadows and
+    people move. None if the edges do not determine the unknowns.
     """
     scale = np.sqrt((design**2).mean(axis=0)) + 1e-30
     base = np.ones(len(target)) if weights is None else weights

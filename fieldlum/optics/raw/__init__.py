@@ -94,10 +94,12 @@ def frame_files(*sources: Path, deep: bool = False) -> list[Path]:
 
 
 def _damaged(path: Path, finding: str, expected: str) -> InputError:
+    """Return the error of a damaged file, whose remedy is a new copy from the card."""
     return InputError(path, finding, expected, "copy the file from the card again")
 
 
 def _pages(tiff: Any) -> list[Any]:
+    """Return the pages (pictures) of a tifffile.TiffFile: at most 16, and those inside of them."""
     tops: list[Any] = [tiff.pages[i] for i in range(min(len(tiff.pages), 16))]
     return tops + [sub for top in tops for sub in (getattr(top, "pages", None) or ())]
 
@@ -135,7 +137,7 @@ def _check_strips(path: Path) -> None:
 
 
 def _end_of_variant(tags: Any) -> int:
-    """Return the end of the pixels in a maker's variant of TIFF."""
+    """Return the byte after the last pixel in a variant of TIFF; tags: of its first page."""
     lengths = np.ravel(tags.valueof("StripByteCounts", 0))
     # tag 280, Panasonic's RawDataOffset: in newer files StripOffsets is a placeholder
     offsets = np.ravel(tags.valueof(280) or tags.valueof("StripOffsets", 0))
@@ -143,9 +145,10 @@ def _end_of_variant(tags: Any) -> int:
 
 
 def _end_of(page: Any, content: mmap.mmap, path: Path) -> int:
-    """Return the end of a page's pixels in its file; infinite if its strips are too few.
+    """Return the byte after a page's last pixel in its file; sys.maxsize if strips are missing.
 
-    Raises InputError for pixels that are no lossless JPEG although the tags state it.
+    page: of tifffile; content: the complete file. Raises InputError for pixels that are no lossless
+    JPEG although the tags state it.
     """
     offsets, counts = page.dataoffsets, page.databytecounts
     if page.compression == 7 and counts and content[offsets[0] : offsets[0] + 2] != b"\xff\xd8":
@@ -191,6 +194,7 @@ def opened(path: Path) -> Any:
 
 
 def _fields(info: FrameInfo) -> dict[str, Any]:
+    """Return the fields of a FrameInfo by name, for a record that adds pixels to them."""
     return {name: getattr(info, name) for name in ("exposure", "t_camera", "make", "model")}
 
 
@@ -250,7 +254,7 @@ def _colour_matrix(raw: Any, tags: exif.Tags) -> Floats | None:
 def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
     """Return the visible mosaic of a raw frame, without the masked pixels at its edges.
 
-    lens_f_number : f-number to use if the frame states none; with 0 a missing one is an error.
+    lens_f_number: f-number to use if the frame states none; with 0 a missing one is an error.
     Raises InputError for a file that is damaged or that LibRaw cannot open, without a Bayer mosaic,
     or without exposure time, f-number or ISO.
     """
@@ -286,7 +290,7 @@ def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
     """Return the exposure, time and camera of a JPEG or raw frame by its EXIF.
 
     For a raw frame LibRaw provides values that the EXIF lacks, for a JPEG exiftool or exiv2 where
-    it is installed. lens_f_number : f-number to use if the frame states none; with 0 a missing one
+    it is installed. lens_f_number: f-number to use if the frame states none; with 0 a missing one
     is an error. Raises InputError without exposure time, f-number or ISO.
     """
     tags = exif.tags_of(path)
@@ -299,7 +303,7 @@ def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
 
 
 def _by_program(path: Path) -> tuple[float, float, float]:
-    """Return a frame's shutter time [s], f-number and ISO by LibRaw, of a JPEG by exiftool."""
+    """Return shutter time [s], f-number and ISO by LibRaw, of a JPEG by exiftool; 0 for missing."""
     if is_jpeg(path):
         return exif.by_other_program(path)
     with opened(path) as raw:
@@ -323,7 +327,7 @@ class JpegFrame(FrameInfo):
 def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
     """Return the codes and the EXIF of a JPEG frame.
 
-    camera_pixels : pixels of the camera by its profile, 0 without one; a frame may have as many (up
+    camera_pixels: pixels of the camera by its profile, 0 without one; a frame may have as many (up
     to 500 million), and at least `MAX_PIXELS`. Raises InputError for a file that cannot be read, is
     no complete JPEG, has more pixels, or whose EXIF lacks exposure time, f-number or ISO.
     """
@@ -378,7 +382,7 @@ def unreadable(path: Path, *, camera_pixels: int = 0) -> str:
     """Return why the pixels of a JPEG or raw frame cannot be read; "" if they can.
 
     Decodes the frame, which takes some seconds for a large raw file. A missing f-number is no
-    reason for a raw frame. camera_pixels : as for `read_jpeg`.
+    reason for a raw frame. camera_pixels: as for `read_jpeg`.
     """
     try:
         if is_jpeg(path):

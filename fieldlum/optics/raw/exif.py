@@ -22,7 +22,7 @@ from fieldlum.optics.exposure import SAME_SETTING_EV
 
 EXPOSURES_CSV = "exposures.csv"
 COLUMNS = ("file", "shutter_s", "f_number", "iso")
-_NO_EXPOSURE = (0.0, 0.0, 0.0)
+_NO_EXPOSURE = (0.0, 0.0, 0.0)  # shutter time, f-number, ISO
 # Roll of the camera by EXIF Orientation (EXIF 2.32). Mirrored orientations are written by no
 # camera.
 _ROLL_DEG = {1: 0.0, 3: 180.0, 6: 90.0, 8: -90.0}
@@ -90,14 +90,14 @@ def stated_exposure(path: Path) -> tuple[float, float, float]:
     table = path.parent / EXPOSURES_CSV
     if not table.is_file():
         return _NO_EXPOSURE
-    stated, files = _rows(table), {file.name for file in path.parent.iterdir()}
+    stated, files = _stated_exposures(table), {file.name for file in path.parent.iterdir()}
     # A card written on Windows can have other capitals in its names than a table.
     others = [name for name in stated if name.lower() == path.name.lower() and name not in files]
     return stated.get(path.name) or stated.get(others[0] if len(others) == 1 else "", _NO_EXPOSURE)
 
 
-def _rows(path: Path) -> dict[str, tuple[float, float, float]]:
-    """Return the exposures by file name."""
+def _stated_exposures(path: Path) -> dict[str, tuple[float, float, float]]:
+    """Return shutter time [s], f-number and ISO by file name, from the table exposures.csv."""
     expected = f"the columns {','.join(COLUMNS)}"
     exposures: dict[str, tuple[float, float, float]] = {}
     for line, row in read_table(path, expected, "write one frame a line", needed=COLUMNS).dicts():
@@ -128,10 +128,10 @@ def _positive(cell: str, path: Path, line: int) -> float:
 
 
 def tags_of(path: Path) -> dict[int, Any]:
-    """Return the EXIF tags of a frame by number: of its Exif directory, and of the main one.
+    """Return the EXIF tags of a frame by number: of its main directory and of its Exif directory.
 
-    The GPS directory is a dict of its own tags. There are none in a file that is neither a JPEG nor
-    like a TIFF. Raises InputError for a file that is missing, empty or unreadable.
+    The tag of the GPS directory is a dict of its tags. A file that is neither a JPEG nor like a
+    TIFF gives no tags. Raises InputError for a file that is missing, empty or unreadable.
     """
     from PIL import ExifTags
 
@@ -142,7 +142,7 @@ def tags_of(path: Path) -> dict[int, Any]:
             again = "copy it from the card again"
             raise InputError(path, "the file is empty", "a frame of a camera", again)
         with warnings.catch_warnings(), suppress(Exception):  # of a broken directory
-            warnings.simplefilter("ignore")  # about tags that nobody asks for
+            warnings.simplefilter("ignore")  # about tags that are not used
             exif = _directories(file, head)
             for directory in (exif, exif.get_ifd(ExifTags.IFD.Exif)):
                 for number in directory:
@@ -214,7 +214,7 @@ def _setting(tags: Tags, number: int, apex_number: int, steps: float) -> float:
 
 
 def _iso(tags: Tags) -> float:
-    """Return the ISO by the tags, 0 if they state none."""
+    """Return the ISO by the tags (`_ISO`, then `_OTHER_ISO`), 0 if they state none."""
     iso = next(iter(numbers(tags, _ISO)), 0.0)
     others = (numbers(tags, number) for number in _OTHER_ISO)
     stated = (values[0] for values in others if values and values[0] > 0)
@@ -224,8 +224,8 @@ def _iso(tags: Tags) -> float:
 def by_other_program(path: Path) -> tuple[float, float, float]:
     """Return shutter time [s], f-number and ISO by exiftool or exiv2; 0 for what they lack.
 
-    Some cameras state the ISO in their maker's notes alone, which Pillow does not read. Without one
-    of these programs all are 0.
+    Some cameras state the ISO in their maker's notes alone, which Pillow does not read. All are 0
+    if neither program is installed.
     """
     for program, *options in _READERS:
         if command := shutil.which(program):
@@ -234,9 +234,12 @@ def by_other_program(path: Path) -> tuple[float, float, float]:
                 shown = subprocess.run(
                     call, capture_output=True, text=True, timeout=30, check=False
                 )
-                found = [pattern.search(shown.stdout) for pattern in _READ]
-                time, f, iso = (float(m[1]) / float(m[2] or 1) if m else 0.0 for m in found)
-                return time, f, 0.0 if iso == _NO_ISO else iso
+                lines = [pattern.search(shown.stdout) for pattern in _READ]
+                # a line has a number, or numerator and denominator
+                time_s, f_number, iso = (
+                    float(m[1]) / float(m[2] or 1) if m else 0.0 for m in lines
+                )
+                return time_s, f_number, 0.0 if iso == _NO_ISO else iso
     return _NO_EXPOSURE
 
 
@@ -248,21 +251,21 @@ def info_of(
 ) -> FrameInfo:
     """Return the exposure, time and camera that the EXIF tags of a frame state.
 
-    path : of the frame, for errors, and for exposures.csv in its folder, which is used where the
-    tags lack a value. lens_f_number : f-number to use if both lack one, as for a lens without
-    electronics; 0 for none. by_program : gives shutter time [s], f-number and ISO by LibRaw or
+    path: of the frame, for errors, and for exposures.csv in its folder, which is used where the
+    tags lack a value. lens_f_number: f-number to use if both lack one, as for a lens without
+    electronics; 0 for none. by_program: gives shutter time [s], f-number and ISO by LibRaw or
     another program, 0 for one that it lacks; called only if a value is still missing. Raises
-    InputError for an exposure time, f-number or ISO
-    that is missing, impossible, or not the one that exposures.csv states.
+    InputError for an exposure time, f-number or ISO that is missing, impossible, or not the one
+    that exposures.csv states.
     """
     stated = stated_exposure(path)
     in_tags = (_setting(tags, 33434, 37377, -1.0), _setting(tags, 33437, 37378, 0.5), _iso(tags))
-    own = zip(in_tags, stated, (0.0, lens_f_number, 0.0), strict=True)
-    values = [next(filter(None, sources), 0.0) for sources in own]
+    by_source = zip(in_tags, stated, (0.0, lens_f_number, 0.0), strict=True)
+    values = [next(filter(None, sources), 0.0) for sources in by_source]
     if not all(values):
         values = [value or other for value, other in zip(values, by_program(path), strict=True)]
-    for value, own, quantity in zip(values, stated, _QUANTITIES, strict=True):
-        _check_value(path, value, own, quantity)
+    for value, in_csv, quantity in zip(values, stated, _QUANTITIES, strict=True):
+        _check_value(path, value, in_csv, quantity)
     description = text_of(tags, 270)
     filter_name = description.removeprefix("ND=") if description.startswith("ND=") else ""
     exposure = Exposure(shutter_s=values[0], f_number=values[1], iso=values[2], nd=filter_name)
@@ -276,21 +279,21 @@ def _check_value(
 ) -> None:
     """Raise InputError for a value that is 0, impossible, or not the stated one.
 
-    stated : by exposures.csv, 0 if it has none; quantity : of `_QUANTITIES`.
+    stated: by exposures.csv, 0 if it has none; quantity: of `_QUANTITIES`.
     """
     name, tag, low, high, unit = quantity
     remedy = f"write it with: exiftool -{tag} FILE"
-    found = f"{name} {value:g}{unit} in the EXIF"
+    finding = f"{name} {value:g}{unit} in the EXIF"
     if not value:
         remedy = f"{remedy}; or state it in {EXPOSURES_CSV} in the frame's folder"
-        found = f"no {name} in the EXIF"
+        finding = f"no {name} in the EXIF"
         if (path.parent / EXPOSURES_CSV).is_file():
-            found += f", and no line {path.name} in {EXPOSURES_CSV}"
-        raise InputError(path, found, "exposure time, f-number and ISO", remedy)
+            finding += f", and no line {path.name} in {EXPOSURES_CSV}"
+        raise InputError(path, finding, "exposure time, f-number and ISO", remedy)
     if not low <= value <= high:
-        raise InputError(path, found, f"{low:g} to {high:g}{unit}", remedy)
+        raise InputError(path, finding, f"{low:g} to {high:g}{unit}", remedy)
     if stated and abs(np.log2(stated / value)) >= SAME_SETTING_EV:
-        finding = f"{found}, but {stated:g}{unit} in {EXPOSURES_CSV}"
+        finding += f", but {stated:g}{unit} in {EXPOSURES_CSV}"
         raise InputError(path, finding, "the same value, or none in the EXIF", "correct the line")
 
 

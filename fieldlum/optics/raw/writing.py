@@ -62,12 +62,11 @@ def write_dng(
 ) -> None:
     """Write an uncompressed DNG with an EXIF directory; LibRaw returns the same counts exactly.
 
-    A file at `path` is replaced; capture flushes it to disk and renames it. counts : [h, w] 16-bit,
-    black level included. exposure : shutter time, f-number, ISO and the name of an ND filter for
-    the EXIF. black_dn : black level for R, G1, G2, B, and white_dn : white level, both only
-    recorded in the file. cfa : colours of the top left 2 x 2 pixels row by row. t_camera, make,
-    model : time and camera for the EXIF, None or "" for none. colour_matrix : [3, 3], converts XYZ
-    to camera RGB.
+    A file at `path` is replaced; capture flushes it to disk and renames it. counts: [h, w] 16-bit,
+    black level included. exposure: shutter time, f-number, ISO and the name of an ND filter for the
+    EXIF. black_dn: black level for R, G1, G2, B, and white_dn: white level, both only recorded in
+    the file. cfa: colours of the top left 2 x 2 pixels row by row. t_camera, make, model: time and
+    camera for the EXIF, None or "" for none. colour_matrix: [3, 3], converts XYZ to camera RGB.
     """
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
