@@ -23,7 +23,7 @@ from fieldlum.optics.profiles import (
     CameraProfile,
     Lens,
     Sensor,
-    check_camera,
+    check_profile,
     load_camera_profile,
     save_profile,
 )
@@ -117,4 +117,4 @@ def test_counts_stay_where_there_is_no_curve_and_impossible_curves_are_refused()
     assert (factor[:2] == 1.0).all() and factor[3] != 1.0
     folded = replace(PROFILE, sensor=replace(PROFILE.sensor, linearity=(-0.9,)))
     with pytest.raises(InputError, match="rise with the raw counts"):
-        check_camera(folded, "mine.toml")
+        check_profile(folded, "mine.toml")

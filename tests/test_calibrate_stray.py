@@ -17,7 +17,7 @@ from fieldlum.optics.images import write_panorama
 from fieldlum.optics.profiles import (
     CameraProfile,
     StrayLight,
-    check_camera,
+    check_profile,
     load_camera_profile,
     save_profile,
 )
@@ -136,4 +136,4 @@ def test_readings_that_cannot_be_are_refused(readings_csv: Path) -> None:
 )
 def test_kernels_that_no_lens_has_are_refused(kernel: StrayLight, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        check_camera(replace(PROFILE, stray=kernel), "mine.toml")
+        check_profile(replace(PROFILE, stray=kernel), "mine.toml")

@@ -34,7 +34,7 @@ from fieldlum.optics.melanopic import (
     sun_melanopic_ratio,
     sun_xyz,
 )
-from fieldlum.optics.profiles import Colour, check_camera
+from fieldlum.optics.profiles import Colour, check_profile
 from fieldlum.optics.projection import direction
 from fieldlum.optics.raw.writing import write_jpeg
 from fieldlum.report.view import read_measured_picture
@@ -235,8 +235,8 @@ def test_readings_of_one_colour_do_not_move_the_weights_of_others(seed: int) -> 
 def test_a_profile_with_a_melanopic_weight_has_colours() -> None:
     weight = replace(PROFILE.colour, melanopic_from_rgb=(0.1, 0.5, 0.4), melanopic_u_rel=0.03)
     with pytest.raises(InputError, match="melanopic_from_rgb has 3 values"):
-        check_camera(replace(PROFILE, colour=weight), "x.toml")
-    check_camera(replace(PROFILE, colour=replace(weight, rgb_to_radiance=(1.0,) * 9)), "x.toml")
+        check_profile(replace(PROFILE, colour=weight), "x.toml")
+    check_profile(replace(PROFILE, colour=replace(weight, rgb_to_radiance=(1.0,) * 9)), "x.toml")
 
 
 @pytest.mark.contract

@@ -467,12 +467,12 @@ def test_a_spoilt_lens_gives_way() -> None:
             value * one,
             one,
             one,
-            one,
             0 * one,
             0 * one,
             np.full(3, flags, np.uint8),
             np.full((3, 3), value),
             np.zeros(3),
+            one,
             Lens((1.0, 1.0), 1.0, 180.0),
             unused,
         )

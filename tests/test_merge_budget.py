@@ -125,12 +125,12 @@ def test_a_turned_lens_keeps_its_one_curve() -> (
             10 * one,
             one,
             one,
-            one,
             0.02 * one,
             0.01 * one,
             np.zeros(1, np.uint8),
             np.ones((1, 3)),
             0 * one,
+            one,
             lens,
             unused,
         )

@@ -38,7 +38,7 @@ from fieldlum.core.strict_csv import (
     stated_unit,
 )
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
-from fieldlum.optics.raw.exif import _rows as read_exposures
+from fieldlum.optics.raw.exif import read_exposures
 from fieldlum.report.compare import read_model_hours
 from fieldlum.session import create_session, day_files, read_day
 from fieldlum.session.files.irradiance_csv import CleanIrradiance

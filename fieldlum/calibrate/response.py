@@ -16,8 +16,8 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.core.statistics import median_standard_error, robust_sigma
 from fieldlum.optics.camera_curves import dark_floor, fit_response, response_table
-from fieldlum.optics.exposure import ShutterLaw
-from fieldlum.optics.linear_light import check_frame, stated_law, true_shutter_s
+from fieldlum.optics.exposure import ShutterLaw, stated_law
+from fieldlum.optics.linear_light import check_frame, true_shutter_s
 from fieldlum.optics.profiles import CameraProfile, Response
 from fieldlum.optics.projection import relative_radius
 from fieldlum.optics.raw import frame_files, is_jpeg, read_jpeg
@@ -217,7 +217,8 @@ def sample(
     well exposed places.
     """
     parts = [_flat_places(paths, profile, rng) for paths in brackets]
-    law = stated_law([e.shutter_s for _, exposures in parts for e in exposures], profile)
+    nominal_s = [exposure.shutter_s for _, exposures in parts for exposure in exposures]
+    law = stated_law(nominal_s, profile.shutter_law, profile.camera.model)
     lawful, axes = replace(profile, shutter_law=law.law), []  # ln of exposure of each frame
     for (_, exposures), paths in zip(parts, brackets, strict=True):
         iso_s = [true_shutter_s(e.shutter_s, lawful)[0] * e.iso for e in exposures]

@@ -13,11 +13,10 @@ from scipy import sparse
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Flag, Panorama
 from fieldlum.merge.sensor_frames import SensorImage
+from fieldlum.optics import melanopic
 from fieldlum.optics.camera_curves import vignetting_at
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
 from fieldlum.optics.linear_light import curve_u_rel, vignetting_of
-from fieldlum.optics.melanopic import ATTRIBUTE as MELANOPIC
-from fieldlum.optics.melanopic import attribute_text as melanopic_text
 from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import Equirect, LensGeometry, Target, lens_pixels, wrapped
 from fieldlum.optics.stray_light import stray_cdm2
@@ -205,7 +204,6 @@ class ProjectedImage:
 
     luminance [cd/m2]; rgb [n, 3]: luminance by each colour of the camera. variance: of the
     luminance's random error [(cd/m2)^2]. coverage: share (0 to 1) of the pixel that a lens sees.
-    edge: factor on the weight of a lens near its edge, 0.01 at the edge, 1 from 0.06 rad inside it.
     u_vignetting, u_ratio: relative standard uncertainties of the luminance due to vignetting and to
     the exposures. flags: `Flag` bits. u_stray: standard uncertainty of the stray light that was
     subtracted [cd/m2].
@@ -214,7 +212,6 @@ class ProjectedImage:
     luminance: Floats
     variance: Floats
     coverage: Floats
-    edge: Floats
     u_vignetting: Floats
     u_ratio: Floats
     flags: NDArray[np.uint8]
@@ -226,10 +223,12 @@ class ProjectedImage:
 class LensView(ProjectedImage):
     """What one lens sees of the target.
 
+    edge [n]: factor on its weight near its edge, 0.01 at the edge, 1 from 0.06 rad inside it.
     sensor: merged frames of one heading; lens: one of its profile's. stray [n]: stray light that
     was subtracted [cd/m2]; None if the profile has none.
     """
 
+    edge: Floats
     lens: Lens
     sensor: SensorImage
     stray: Floats | None = None
@@ -376,7 +375,6 @@ def blend(views: Sequence[LensView]) -> ProjectedImage:
         luminance=(share * luminance).sum(0),
         variance=(share**2 * variance).sum(0),
         coverage=coverage.max(0),
-        edge=edge.max(0),
         u_vignetting=np.sqrt(sum(u**2 for u in by_lens.values())),
         u_ratio=(share * u_ratio).sum(0),  # linearly, because all lenses share one shutter
         flags=blended,
@@ -426,7 +424,8 @@ def finish(
         rgb = _radiance_rgb(view.rgb @ matrix.T, light).reshape(*shape, 3)
         if colour.melanopic_from_rgb:
             weights = np.array(colour.melanopic_from_rgb)
-            attributes[MELANOPIC] = melanopic_text(weights, matrix, colour.melanopic_u_rel)
+            text = melanopic.attribute_text(weights, matrix, colour.melanopic_u_rel)
+            attributes[melanopic.ATTRIBUTE] = text
     return Panorama(
         luminance_cdm2=light.reshape(shape).astype(np.float32),
         heading_deg=heading_deg,

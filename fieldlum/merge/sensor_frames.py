@@ -17,7 +17,8 @@ from fieldlum.merge.linear_frames import Crop, RawSignal, Saturation, Signal, le
 from fieldlum.merge.ratios import Exposures, RatioCurve, bracket_pairs, exposures_of, take_samples
 from fieldlum.merge.shift import shifts
 from fieldlum.merge.shots import Shot, sorted_shots
-from fieldlum.optics.linear_light import lens_geometry, nd_factors, stated_law
+from fieldlum.optics.exposure import stated_law
+from fieldlum.optics.linear_light import lens_geometry, nd_factors
 from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import LensGeometry
 from fieldlum.session.files.sidecar import ShiftQuality
@@ -212,7 +213,8 @@ def merge_sensor(
     """
     crop, is_raw = lens_crop(profile), profile.camera.kind == "raw"
     shots, absent = _without_absent_filters(shots, profile, crop)
-    law = stated_law([shot.exposure.shutter_s for shot in shots], profile)
+    nominal_s = [shot.exposure.shutter_s for shot in shots]
+    law = stated_law(nominal_s, profile.shutter_law, profile.camera.model)
     read_with = replace(profile, shutter_law=law.law)
     frames, saturation = read_frames(shots, read_with, crop)
     lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]

@@ -127,6 +127,15 @@ def law_of_labels(nominal_s: ArrayLike, model: str = "") -> ShutterLaw:
     return ShutterLaw(HALF_STOPS if halves < 0.999 * thirds else THIRD_STOPS, "labels")
 
 
+def stated_law(nominal_s: ArrayLike, law: str, model: str) -> ShutterLaw:
+    """Return the shutter law that a camera profile states; for "auto" that of the nominal times.
+
+    nominal_s: shutter times of a bracket's frames by EXIF [n], s; law, model: of the profile. The
+    result's `decided_by` is "profile" or "labels".
+    """
+    return law_of_labels(nominal_s, model) if law == AUTO else ShutterLaw(law, "profile")
+
+
 def law_of_frames(
     times_s: Mapping[str, Floats], of_labels: ShutterLaw, pairs: Sequence[PairRatio]
 ) -> ShutterLaw:

@@ -21,7 +21,6 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
-from io import BufferedReader
 from pathlib import Path
 from shutil import copyfileobj
 from tempfile import TemporaryFile
@@ -185,7 +184,7 @@ def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
         coded.seek(0)
         quiet, pipe = subprocess.DEVNULL, subprocess.PIPE
         with subprocess.Popen(command, stdin=coded, stdout=pipe, stderr=quiet) as process:
-            output = cast("BufferedReader", process.stdout)
+            output = cast("io.BufferedReader", process.stdout)
             count = output.readinto(values.data.cast("B")) // (12 * width)
     if count < scanlines:
         finding = f"the pixels are damaged, or end after scanline {count} of {scanlines}"

@@ -16,14 +16,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Exposure
 from fieldlum.optics.camera_curves import check_vignetting, response_table
-from fieldlum.optics.exposure import (
-    AUTO,
-    ShutterLaw,
-    law_of_labels,
-    prior_u_log,
-    true_times_s,
-    z_per_cdm2,
-)
+from fieldlum.optics.exposure import prior_u_log, true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import LensGeometry, signed_angle_deg
 from fieldlum.optics.raw import Mosaic, same_model
@@ -121,17 +114,6 @@ def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, flo
             return measured.true_s, measured.u_rel
     seconds = float(true_times_s(shutter_s, profile.shutter_law)) + profile.sensor.exposure_offset_s
     return seconds, float(prior_u_log(seconds))
-
-
-def stated_law(nominal_s: Sequence[float], profile: CameraProfile) -> ShutterLaw:
-    """Return the profile's shutter law; if it is "auto", the likely law of nominal times [s].
-
-    A shutter law states which true times the nominal (EXIF) times stand for. The result's
-    `decided_by` is "profile" or "labels".
-    """
-    if profile.shutter_law != AUTO:
-        return ShutterLaw(profile.shutter_law, "profile")
-    return law_of_labels(nominal_s, profile.camera.model)
 
 
 def frame_z_per_cdm2(exposure: Exposure, profile: CameraProfile) -> float:

@@ -1,6 +1,6 @@
 """Camera profiles: calibration/NAME.toml, everything between sensor counts and cd/m2."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -241,58 +241,52 @@ class CameraProfile:
 # values that do not belong together
 
 
-_Problem = tuple[str, ...]  # what was found, what is expected; what to do, if not to correct it
-
-
-def check_camera(profile: CameraProfile, where: str) -> None:
+def check_profile(profile: CameraProfile, where: str) -> None:
     """Raise InputError for values that no camera has together; where: the profile, for the error.
 
-    The range of each single value is checked when the profile is read.
+    They are values of lenses, sensor, colour, response and stray light. The range of each single
+    value is checked when the profile is read.
     """
-    for finding, expected, *remedy in _problems(profile):
-        correct = remedy[0] if remedy else "correct this value in the profile"
-        raise InputError(where, finding, expected, correct)
 
+    def wrong(finding: str, expected: str, remedy: str = "") -> InputError:
+        return InputError(where, finding, expected, remedy or "correct this value in the profile")
 
-def _problems(profile: CameraProfile) -> Iterator[_Problem]:
-    """Yield values of lenses, sensor, colour, response and stray light that no camera has."""
     fit_again = "fit it again: fieldlum calibrate lens"
     for lens in (lens for lens in profile.lens if lens.mapping == "polynomial"):
-        terms = list(lens.coefficients) or "no coefficients"
-        finding = f"lens '{lens.name}': polynomial of {terms}"
+        finding = (
+            f"lens '{lens.name}': polynomial of {list(lens.coefficients) or 'no coefficients'}"
+        )
         try:
             angle_of_radius(lens, 1.0)
         except ValueError as error:
-            yield f"{finding} ({error})", "a polynomial that rises up to the edge", fit_again
+            expected = "a polynomial that rises up to the edge"
+            raise wrong(f"{finding} ({error})", expected, fit_again) from None
         if abs(sum(lens.coefficients) - 1.0) > 0.02:
-            total = f"{finding}, with the sum {sum(lens.coefficients):g}"
-            yield total, "coefficients that sum to 1", fit_again
-    black, saturation = profile.sensor.black_dn, profile.sensor.saturation_dn
-    if not max(black) < min(*saturation, profile.sensor.white_dn):
-        yield f"[sensor] black_dn = {max(black):g}", "less than saturation_dn and white_dn"
-    if not corrected_counts_rise(profile.sensor.linearity):
-        finding, remedy = (
-            f"sensor.linearity = {list(profile.sensor.linearity)}",
-            "calibrate it again",
-        )
-        yield finding, "corrected counts that rise with the raw counts", remedy
-    colour, stray = profile.colour, profile.stray
+            finding = f"{finding}, with the sum {sum(lens.coefficients):g}"
+            raise wrong(finding, "coefficients that sum to 1", fit_again)
+    sensor, colour, stray = profile.sensor, profile.colour, profile.stray
+    if not max(sensor.black_dn) < min(*sensor.saturation_dn, sensor.white_dn):
+        finding = f"[sensor] black_dn = {max(sensor.black_dn):g}"
+        raise wrong(finding, "less than saturation_dn and white_dn")
+    if not corrected_counts_rise(sensor.linearity):
+        finding = f"sensor.linearity = {list(sensor.linearity)}"
+        raise wrong(finding, "corrected counts that rise with the raw counts", "calibrate it again")
     radiance, melanopic = len(colour.rgb_to_radiance), len(colour.melanopic_from_rgb)
     if radiance not in (0, 9):
-        yield f"colour.rgb_to_radiance has {radiance} values", "9 values, or none"
+        raise wrong(f"colour.rgb_to_radiance has {radiance} values", "9 values, or none")
     if melanopic not in (0, 3) or (melanopic and not radiance):
         finding = f"colour.melanopic_from_rgb has {melanopic} values, rgb_to_radiance {radiance}"
-        yield finding, "3 values next to 9 of rgb_to_radiance, or none"
+        raise wrong(finding, "3 values next to 9 of rgb_to_radiance, or none")
     low, high = profile.response.low_code, profile.response.high_code
     if not 0 <= low < high <= 255:
-        yield f"response.low_code {low}, high_code {high}", "0 <= low < high <= 255"
+        raise wrong(f"response.low_code {low}, high_code {high}", "0 <= low < high <= 255")
     angles, values = stray.angle_deg, stray.per_sr
     rising = all(a < b for a, b in pairwise(angles))
     if len(angles) != len(values) or not rising or not all(0 < a <= 180 for a in angles):
         finding = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
-        yield finding, "rising angles from 0 to 180, and a value for each"
+        raise wrong(finding, "rising angles from 0 to 180, and a value for each")
     if not all(a >= b for a, b in pairwise(values)) or min(values, default=0.0) < 0:
-        yield f"[stray] per_sr = {list(values)}", "values of 0 or more that do not rise"
+        raise wrong(f"[stray] per_sr = {list(values)}", "values of 0 or more that do not rise")
 
 
 # ----------------------------------------------------------------------------------------------
@@ -406,7 +400,7 @@ def load_camera_profile(name: str | Path) -> CameraProfile:
     """
     path = find_camera_profile(str(name))
     profile = build(CameraProfile, read_toml(path), str(path))
-    check_camera(profile, str(path))
+    check_profile(profile, str(path))
     return profile
 
 

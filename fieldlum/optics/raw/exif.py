@@ -90,14 +90,14 @@ def stated_exposure(path: Path) -> tuple[float, float, float]:
     table = path.parent / EXPOSURES_CSV
     if not table.is_file():
         return _NO_EXPOSURE
-    stated, files = _stated_exposures(table), {file.name for file in path.parent.iterdir()}
+    stated, files = read_exposures(table), {file.name for file in path.parent.iterdir()}
     # A card written on Windows can have other capitals in its names than a table.
     others = [name for name in stated if name.lower() == path.name.lower() and name not in files]
     return stated.get(path.name) or stated.get(others[0] if len(others) == 1 else "", _NO_EXPOSURE)
 
 
-def _stated_exposures(path: Path) -> dict[str, tuple[float, float, float]]:
-    """Return shutter time [s], f-number and ISO by file name, from the table exposures.csv."""
+def read_exposures(path: Path) -> dict[str, tuple[float, float, float]]:
+    """Read shutter time [s], f-number and ISO by file name from a table exposures.csv."""
     expected = f"the columns {','.join(COLUMNS)}"
     exposures: dict[str, tuple[float, float, float]] = {}
     for line, row in read_table(path, expected, "write one frame a line", needed=COLUMNS).dicts():
