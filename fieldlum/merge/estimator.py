@@ -149,7 +149,7 @@ def _flag_motion(
     mean = np.where(informed, merged.value_cdm2, 0.0)
     chi2 = np.zeros_like(mean)
     for frame, weight in zip(frames, weights, strict=True):
-        term = frame.counts - mean * frame.signal.per_cdm2  # in place, because memory limits speed
+        term = frame.counts - mean * frame.signal.per_cdm2  # squared in place
         term *= term
         term *= weight
         term /= frame.signal.per_cdm2

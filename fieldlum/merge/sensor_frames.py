@@ -133,7 +133,7 @@ def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) ->
 
 
 def isolated_pixels(flags: NDArray[np.uint8]) -> Indices:
-    """Return row and column [n, 2] of mosaic pixels at which the frames disagree in isolation.
+    """Return row and column [n, 2] of isolated mosaic pixels at which the frames disagree.
 
     flags: [h, w] of the mosaic. At such a pixel the frames disagree (it has the flag MOTION), but
     at all eight neighbours of the same colour they agree. This happens at stuck pixels and through

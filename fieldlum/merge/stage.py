@@ -183,15 +183,14 @@ def _merge_readable(
 def _with_session_facts(
     result: MergeResult, profile: CameraProfile, complete: bool, lost: list[str]
 ) -> MergeResult:
-    """Return the result with its illuminance and with a verdict that covers the slot as well.
+    """Return the result with what only the session knows: illuminance at the heading, lost frames.
 
-    complete: whether all planned frames exist; lost: names of unreadable frames.
+    The verdict mentions lost and missing frames, and an uncertain sun. complete: whether all
+    planned frames exist; lost: names of unreadable frames.
     """
     panorama, heading_deg = result.panorama, result.panorama.heading_deg
-    place = (heading_deg, heading_deg, panorama.sun)
-    ahead_lx = vertical_illuminance_lx(panorama.luminance_cdm2, *place)
-    facts = {"vertical_illuminance_lx": ahead_lx, "lost": tuple(lost)}
-    report = structs.replace(result.report, **facts)
+    ev_lx = vertical_illuminance_lx(panorama.luminance_cdm2, heading_deg, heading_deg, panorama.sun)
+    report = structs.replace(result.report, vertical_illuminance_lx=ev_lx, lost=tuple(lost))
     text = result.verdict
     if not complete:
         text = f"incomplete bracket: not all planned frames exist; {text}"

@@ -82,7 +82,8 @@ class Bracket:
     """The exposures that a plan uses by default; shutter times are nominal.
 
     nd_shutter_s: times of the frames through a filter, for plans that name one; nd: names of
-    filters with such times; no plan uses them by itself.
+    filters with such times. seconds_per_frame, megabytes_per_frame: for the duration of a bracket
+    and the size of its files.
     """
 
     f_number: Positive

@@ -14,10 +14,10 @@ from fieldlum.core.statistics import MAD_TO_SIGMA, cauchy_weights
 
 @dataclass(frozen=True, slots=True)
 class Contrasts:
-    """Values with a free factor in each group, such as the contrast of each place.
+    """Values with a free factor in each group, such as the contrast of edges in parts of a room.
 
-    A fit removes the part of its equations that such factors explain. values [m]: what the factor
-    multiplies; group [m]: number of the group, from 0.
+    A fit removes the part of its equations that such factors explain. values [m]: what the factors
+    multiply; group [m]: number of the group, from 0.
     """
 
     values: Floats

@@ -207,7 +207,8 @@ def _camera_time(tags: Tags) -> datetime | None:
 def _setting(tags: Tags, number: int, apex_number: int, steps: float) -> float:
     """Return the value of a tag, else 2 to the power of `steps` times that of an APEX tag, else 0.
 
-    Cameras with a lens without electronics write 0 into both tags.
+    number, apex_number: of the tags; an APEX tag states a logarithm. Cameras with a lens without
+    electronics write 0 into both tags.
     """
     value, apex = ((numbers(tags, n) or [0.0])[0] for n in (number, apex_number))
     return value or (2.0 ** (steps * apex) if 0.0 < abs(apex) < 64.0 else 0.0)
@@ -259,6 +260,7 @@ def info_of(
     that exposures.csv states.
     """
     stated = stated_exposure(path)
+    # ExposureTime or ShutterSpeedValue, FNumber or ApertureValue
     in_tags = (_setting(tags, 33434, 37377, -1.0), _setting(tags, 33437, 37378, 0.5), _iso(tags))
     by_source = zip(in_tags, stated, (0.0, lens_f_number, 0.0), strict=True)
     values = [next(filter(None, sources), 0.0) for sources in by_source]
@@ -266,7 +268,7 @@ def info_of(
         values = [value or other for value, other in zip(values, by_program(path), strict=True)]
     for value, in_csv, quantity in zip(values, stated, _QUANTITIES, strict=True):
         _check_value(path, value, in_csv, quantity)
-    description = text_of(tags, 270)
+    description = text_of(tags, 270)  # ImageDescription; 271, 272: Make, Model
     filter_name = description.removeprefix("ND=") if description.startswith("ND=") else ""
     exposure = Exposure(shutter_s=values[0], f_number=values[1], iso=values[2], nd=filter_name)
     return FrameInfo(
@@ -304,7 +306,7 @@ def roll_deg_of(path: Path) -> float | None:
     mirrored. fieldlum never turns pixels by it. Raises InputError for a file that is missing or
     empty.
     """
-    tag = numbers(tags_of(path), 274)
+    tag = numbers(tags_of(path), 274)  # Orientation
     return _ROLL_DEG.get(int(tag[0])) if tag else None
 
 
@@ -313,7 +315,7 @@ def white_balance_is_fixed(path: Path) -> bool:
 
     Raises InputError for a file that is missing or empty.
     """
-    return numbers(tags_of(path), 41987) == [1.0]
+    return numbers(tags_of(path), 41987) == [1.0]  # WhiteBalance
 
 
 def same_model(model: str, wanted: str) -> bool:

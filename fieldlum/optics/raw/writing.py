@@ -38,6 +38,8 @@ def _exif_fields(exposure: Exposure, t_camera: datetime | None) -> dict[int, Any
     A time with an offset from UTC has OffsetTimeOriginal too.
     """
     shutter_s, f_number = _fractions(exposure.shutter_s, exposure.f_number)
+    # ExposureTime, FNumber, PhotographicSensitivity, then DateTimeOriginal with its fraction and
+    # offset (EXIF 2.32)
     fields: dict[int, Any] = {33434: shutter_s, 33437: f_number, 34855: round(exposure.iso)}
     if t_camera is not None:
         fields[36867] = t_camera.strftime("%Y:%m:%d %H:%M:%S")
@@ -73,28 +75,30 @@ def write_dng(
     black = dict(zip(channel_positions(cfa), black_dn, strict=True))
     height, width = counts.shape
     of_dng = {
-        254: (_LONG, 0),
-        33421: (_SHORT, (2, 2)),
-        33422: (_BYTE, bytes("RGB".index(c) for c in cfa)),
-        50706: (_BYTE, bytes((1, 4, 0, 0))),
-        50707: (_BYTE, bytes((1, 1, 0, 0))),
-        50708: (_ASCII, f"{make} {model or 'camera'}"),
-        50713: (_SHORT, (2, 2)),
+        254: (_LONG, 0),  # NewSubfileType
+        33421: (_SHORT, (2, 2)),  # CFARepeatPatternDim
+        33422: (_BYTE, bytes("RGB".index(c) for c in cfa)),  # CFAPattern
+        50706: (_BYTE, bytes((1, 4, 0, 0))),  # DNGVersion
+        50707: (_BYTE, bytes((1, 1, 0, 0))),  # DNGBackwardVersion
+        50708: (_ASCII, f"{make} {model or 'camera'}"),  # UniqueCameraModel
+        50713: (_SHORT, (2, 2)),  # BlackLevelRepeatDim, then BlackLevel and WhiteLevel
         50714: (_RATIONAL, _fractions(*(black[at] for at in np.ndindex(2, 2)))),
         50717: (_LONG, round(white_dn)),
-        50721: (_SRATIONAL, _fractions(*np.ravel(colour_matrix).tolist())),
-        50728: (_RATIONAL, _fractions(1, 1, 1)),
-        50778: (_SHORT, 21),  # D65
+        50721: (_SRATIONAL, _fractions(*np.ravel(colour_matrix).tolist())),  # ColorMatrix1
+        50728: (_RATIONAL, _fractions(1, 1, 1)),  # AsShotNeutral
+        50778: (_SHORT, 21),  # CalibrationIlluminant1: D65
     }
     directory = ImageFileDirectory_v2(prefix=b"II")
     directory.tagtype.update({number: kind for number, (kind, _) in of_dng.items()})
     directory.update({number: value for number, (_, value) in of_dng.items()})
+    # ImageDescription, Make, Model
     texts = {270: exposure.nd and f"ND={exposure.nd}", 271: make, 272: model}
     directory.update({number: text for number, text in texts.items() if text})
     # TIFF 6.0: size, 16 bits, uncompressed, colour filter array, one strip; Pillow adds to its
     # offset where the directory ends.
     directory.update({256: width, 257: height, 258: 16, 259: 1, 262: 32803, 273: 0, 274: 1})
     directory.update({277: 1, 278: height, 279: 2 * height * width, 284: 1})
+    # the pointer to the Exif directory
     directory[34665] = _exif_fields(exposure, t_camera)
     with path.open("wb") as file:
         directory.save(file)
