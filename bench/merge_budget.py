@@ -29,7 +29,7 @@ from fieldlum.devices.simulated.camera import raw_counts
 from fieldlum.merge import merge_sensor
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.linear_frames import Crop, lens_crop
-from fieldlum.merge.project import blend, finish, u_of_edges, view_through
+from fieldlum.merge.project import blend, finished_map, u_of_edges, view_through
 from fieldlum.merge.sensor_frames import SensorImage
 from fieldlum.merge.shots import U_REPEAT, Shot, sorted_shots
 from fieldlum.optics.camera_curves import response_table, vignetting_at
@@ -267,7 +267,7 @@ def realise(
         turn_deg = 0.0 if heading is None else heading - 180.0
         images.append(merge_sensor(list(group), profile, turn_deg=turn_deg)[0])
     merged = [view_through(image, lens, target) for image in images for lens in profile.lens]
-    result = finish(blend(merged), profile, target)
+    result = finished_map(blend(merged), profile, target)
     # The truth through the merge's own blend: how lenses of other sharpness part a pixel is
     # geometry, judged elsewhere.
     true_views = [

@@ -16,7 +16,7 @@ import numpy as np
 
 from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.linear_frames import RawSignal
-from fieldlum.merge.ratios import bracket_pairs, fit_ratios, take_samples
+from fieldlum.merge.ratios import fit_ratios, pair_ratios, take_samples
 from fieldlum.optics.exposure import prior_u_log, true_times_s
 
 GAIN, READ_E, BLACK, SATURATION, WHITE = 4.0, 6.0, 512.0, 15000.0, 16383.0
@@ -122,9 +122,7 @@ def _ratios(rng: np.random.Generator) -> np.ndarray:
     )
     times = [true_times_s(t) for t in NOMINAL_S]
     signals = [signal(frame(light, t, rng), s) for t, s in zip(TRUE_S, times, strict=True)]
-    fit = fit_ratios(
-        bracket_pairs(take_samples(signals)), np.diag(prior_u_log(np.array(times)) ** 2)
-    )
+    fit = fit_ratios(pair_ratios(take_samples(signals)), np.diag(prior_u_log(np.array(times)) ** 2))
     return np.array(times) * fit.correction
 
 

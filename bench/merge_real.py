@@ -30,7 +30,7 @@ from fieldlum.core.records import Flag
 from fieldlum.merge import MergeOptions, files_to_picture
 from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.linear_frames import JpegSignal
-from fieldlum.merge.shift import shifts
+from fieldlum.merge.shift import turns_between
 from fieldlum.optics.camera_curves import dark_floor, fit_response
 from fieldlum.optics.exposure import true_times_s
 from fieldlum.optics.images import read_radiance_hdr
@@ -363,7 +363,9 @@ def _print_shifts(signals: list[JpegSignal], times: np.ndarray) -> None:
     """
     h, w = signals[0].codes.shape[:2]
     lens = LensGeometry((w / 2, h / 2), float(np.hypot(h, w) / 2), 60.0, "equidistant")
-    for m in shifts([s.reduced_frame() for s in signals], [lens], [f"{t:g} s" for t in times]):
+    for m in turns_between(
+        [s.reduced_frame() for s in signals], [lens], [f"{t:g} s" for t in times]
+    ):
         print(f"{m.long} to {m.short}: shifted by {m.shift_px:.2f} px, u {m.u_px:.2f}")
 
 

@@ -44,7 +44,7 @@ from fieldlum.devices.address_permission import permission_subject, require_perm
 from fieldlum.devices.logger_files import read_logger_file
 from fieldlum.merge.shots import shots_of_slot
 from fieldlum.optics.images import read_exr, read_panorama, read_radiance_hdr
-from fieldlum.optics.raw import opened, read_jpeg
+from fieldlum.optics.raw import open_raw, read_jpeg
 from fieldlum.optics.raw.exif import tags_of
 from fieldlum.report.export_and_pack import Statement, pack
 from fieldlum.room.fit.scene_file import read_scene
@@ -293,7 +293,7 @@ READERS = [
     read_panorama,
     read_radiance_hdr,
     read_toml,
-    opened,
+    open_raw,
     tags_of,
     lambda path: read_object(path, "", ""),
     lambda path: read_text(path, ""),

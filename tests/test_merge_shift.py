@@ -12,7 +12,7 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, Shot, merge_shots
-from fieldlum.merge.shift import reduced, shifts
+from fieldlum.merge.shift import reduce_frame, turns_between
 from fieldlum.merge.stage import QUALITY_COLUMNS
 from fieldlum.optics.exposure import z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile, bracket_exposures, load_camera_profile
@@ -147,8 +147,8 @@ def test_any_turn_is_found_through_the_lens(
     ]  # an exposure that is off
     seen = [(p > 0.3) & (p < limit) for p, limit in zip(pictures, (3.0, 5.0), strict=True)]
     seen[0][100:140, 60:200] = False  # clipped in the longer frame only
-    (moved,) = shifts(
-        [reduced(p, s, 0.0) for p, s in zip(pictures, seen, strict=True)], [LENS], "ab"
+    (moved,) = turns_between(
+        [reduce_frame(p, s, 0.0) for p, s in zip(pictures, seen, strict=True)], [LENS], "ab"
     )
     assert moved.turn_deg == pytest.approx(np.linalg.norm(vector_deg), rel=0.03, abs=0.02)
     assert moved.shift_px == pytest.approx(moved.turn_deg * 145 / 90, rel=1e-3)
@@ -159,5 +159,5 @@ def test_any_turn_is_found_through_the_lens(
 def test_an_empty_wall_tells_nothing() -> None:
     rng = np.random.default_rng(1)
     walls = [(100 * (1 + rng.normal(0, 0.002, (300, 300)))).astype(np.float32) for _ in range(2)]
-    assert shifts([reduced(w, w > 0, 0.0) for w in walls], [LENS], "ab") == []
-    assert shifts([reduced(walls[0], walls[0] > 0, 0.0)], [LENS], "a") == []
+    assert turns_between([reduce_frame(w, w > 0, 0.0) for w in walls], [LENS], "ab") == []
+    assert turns_between([reduce_frame(walls[0], walls[0] > 0, 0.0)], [LENS], "a") == []

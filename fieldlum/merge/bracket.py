@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, JsonTable, Panorama
-from fieldlum.merge.project import blend, finish, view_through
+from fieldlum.merge.project import blend, finished_map, view_through
 from fieldlum.merge.ratios import Exposures, any_beyond_prior
 from fieldlum.merge.sensor_frames import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
@@ -292,8 +292,8 @@ def merge_shots(
         findings.append(part)
     views = [view_through(image, lens, target) for image in images for lens in profile.lens]
     seen = blend(views)
-    panorama = finish(seen, profile, target, heading_deg=heading_deg, t_utc=middle_of(shots))
-    assert panorama.flags is not None  # `finish` always sets the flags
+    panorama = finished_map(seen, profile, target, heading_deg=heading_deg, t_utc=middle_of(shots))
+    assert panorama.flags is not None  # by `finished_map`
     report = report_of(findings, panorama.flags, target, profile)
     sun = sky = None
     if latitude_deg is not None and isinstance(target, Equirect):

@@ -31,7 +31,7 @@ class FramePixels(NamedTuple):
     full: Mask | None
 
     def usable(self) -> Mask:
-        """Return a mask in the shape of `counts` [...], True for counts that are usable."""
+        """Return a mask [...] of counts in the frame's range, not next to saturated ones."""
         usable = self.signal.usable(self.counts)
         return usable if self.full is None else usable & ~self.full
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
 from fieldlum.core.errors import InputError
 from fieldlum.core.progress import progress
-from fieldlum.merge.shift import ReducedFrame, reduced
+from fieldlum.merge.shift import ReducedFrame, reduce_frame
 from fieldlum.merge.shots import Shot
 from fieldlum.optics import linear_light
 from fieldlum.optics.camera_curves import linearity_factor
@@ -198,7 +198,7 @@ class RawSignal:
         above = counts.astype(np.float32)
         above -= np.float32(self.black.mean())
         dark_dn = 8.0 * float(np.sqrt(self.noise_dn2))  # below, noise would look like edges
-        return reduced(above, counts < self._any_full, dark_dn, cell=2)
+        return reduce_frame(above, counts < self._any_full, dark_dn, cell=2)
 
     def sampled(self, rows: int, columns: int) -> tuple[RawSignal, Mask]:
         """Return a signal of evenly spread pixels, about [rows, 2, columns], and a mask.
@@ -387,7 +387,7 @@ class JpegSignal:
         """Return a reduced picture of the green colour, to detect turns by its edges."""
         green = np.ascontiguousarray(self.codes[..., 1])
         light = np.asarray(cv2.LUT(green, np.ascontiguousarray(self.z_of_code[:, 1])), np.float32)
-        return reduced(light, (green >= self.low_code) & (green <= self.high_code), 0.0)
+        return reduce_frame(light, (green >= self.low_code) & (green <= self.high_code), 0.0)
 
     def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, Mask]:
         """Return a signal of evenly spread pixels, about [rows, columns, 3], and a mask.
@@ -450,7 +450,7 @@ def read_frames(
     return signals, saturation
 
 
-def scaled(frames: Sequence[Signal], factors: Floats) -> list[Signal]:
+def scale_exposures(frames: Sequence[Signal], factors: Floats) -> list[Signal]:
     """Return frames whose assumed exposures are multiplied by factors [frames]."""
     return [
         replace(frame, per_cdm2=frame.per_cdm2 * np.float32(factor))

@@ -383,7 +383,7 @@ def blend(views: Sequence[LensView]) -> ProjectedImage:
     )
 
 
-def finish(
+def finished_map(
     view: ProjectedImage,
     profile: CameraProfile,
     target: Target,

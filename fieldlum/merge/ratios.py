@@ -15,7 +15,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.statistics import MAD_TO_SIGMA, robust_sigma
 from fieldlum.merge.estimator import FramePixels
-from fieldlum.merge.linear_frames import RawSignal, Signal, scaled
+from fieldlum.merge.linear_frames import RawSignal, Signal, scale_exposures
 from fieldlum.merge.shots import Shot, exposure_covariance, times_by_law
 from fieldlum.optics.exposure import PairRatio, ShutterLaw, law_of_frames
 from fieldlum.optics.linear_light import U_FRAME_RATIO
@@ -130,7 +130,7 @@ def _well_exposed(long: FramePixels, short: FramePixels) -> Floats32:
     return np.array((*counts, *variances, per_short / per_long, snr_short[at]), np.float32)
 
 
-def bracket_pairs(samples: Sequence[FramePixels]) -> list[PairRatio]:
+def pair_ratios(samples: Sequence[FramePixels]) -> list[PairRatio]:
     """Return the measured exposure ratios of pairs of frames over the assumed ones.
 
     samples: one for each frame, most exposed first, at the same pixels. Frames of a pair are at
@@ -150,7 +150,7 @@ def bracket_pairs(samples: Sequence[FramePixels]) -> list[PairRatio]:
     return pairs
 
 
-def neighbours(pairs: list[PairRatio], correction: Floats) -> list[NeighbourQuality]:
+def neighbour_residuals(pairs: list[PairRatio], correction: Floats) -> list[NeighbourQuality]:
     """Return by how much neighbouring frames still disagree after `correction`, in %.
 
     pairs: measured exposure ratios; correction: factors on the assumed exposures, [frames]. A
@@ -325,17 +325,17 @@ def exposures_of(
     the profile is wrong.
     """
     samples = take_samples(frames)
-    pairs = bracket_pairs(samples)
+    pairs = pair_ratios(samples)
     if law.decided_by == "labels":
         times_s = times_by_law(shots, profile)
         assumed, law = law.law, law_of_frames(times_s, law, pairs)
         if law.law != assumed:
-            frames = scaled(frames, times_s[law.law] / times_s[assumed])
+            frames = scale_exposures(frames, times_s[law.law] / times_s[assumed])
             samples = take_samples(frames)
-            pairs = bracket_pairs(samples)
+            pairs = pair_ratios(samples)
     prior = exposure_covariance([s.exposure for s in shots], replace(profile, shutter_law=law.law))
     fit = fit_ratios(pairs if fits else [], prior)
-    residuals = neighbours(pairs, fit.correction)
+    residuals = neighbour_residuals(pairs, fit.correction)
     u_typical = float(np.median(fit.u_log))
     u_response = 0.0 if profile.camera.kind == "raw" else profile.response.u_rel
     if fits:
@@ -361,4 +361,4 @@ def exposures_of(
         # response makes frames differ without any motion.
         tolerance=max(0.003, 3.0 * disagreement, u_response),
     )
-    return scaled(frames, fit.correction), exposures, samples
+    return scale_exposures(frames, fit.correction), exposures, samples

@@ -14,8 +14,8 @@ from fieldlum.core.records import Flag
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import FramePixels, Merged, merge_signals
 from fieldlum.merge.linear_frames import Crop, RawSignal, Saturation, Signal, lens_crop, read_frames
-from fieldlum.merge.ratios import Exposures, RatioCurve, bracket_pairs, exposures_of, take_samples
-from fieldlum.merge.shift import shifts
+from fieldlum.merge.ratios import Exposures, RatioCurve, exposures_of, pair_ratios, take_samples
+from fieldlum.merge.shift import turns_between
 from fieldlum.merge.shots import Shot, sorted_shots
 from fieldlum.optics.exposure import stated_law
 from fieldlum.optics.linear_light import lens_geometry, nd_factors
@@ -48,7 +48,7 @@ def _with_noise(signal: Signal, noise: tuple[float, float]) -> Signal:
     return replace(signal, gain_e_per_dn=gain, noise_dn2=read_dn2)
 
 
-def seen_noise(samples: Sequence[FramePixels], correction: Floats) -> tuple[float, float]:
+def noise_factors(samples: Sequence[FramePixels], correction: Floats) -> tuple[float, float]:
     """Return measured over stated variance of shot noise and of read noise, of raw frames.
 
     samples: one for each frame, most exposed first; correction: fitted over assumed exposure,
@@ -190,8 +190,8 @@ class Findings:
     """What the frames of one heading showed about exposures, noise, saturation and motion.
 
     saturation: counts at which the colours saturate, and the black level; noise: factors of
-    `seen_noise`. turns: of the camera between frames, only for pairs of frames with enough common
-    points. absent: names of frames that were taken without the filter of their label.
+    `noise_factors`. turns: of the camera between frames, only for pairs of frames with enough
+    common points. absent: names of frames that were taken without the filter of their label.
     """
 
     shots: tuple[Shot, ...]
@@ -218,12 +218,12 @@ def merge_sensor(
     read_with = replace(profile, shutter_law=law.law)
     frames, saturation = read_frames(shots, read_with, crop)
     lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]
-    turns = shifts(
+    turns = turns_between(
         [frame.reduced_frame() for frame in frames], lenses, [s.path.name for s in shots]
     )
     fits = is_raw if fit is None else fit
     frames, exposures, samples = exposures_of(frames, shots, profile, law, fits)
-    noise = seen_noise(samples, exposures.fit.correction) if fits else NOISE_OF_PROFILE
+    noise = noise_factors(samples, exposures.fit.correction) if fits else NOISE_OF_PROFILE
     frames = [_with_noise(signal, noise) for signal in frames]
     shape = (crop.height // 2, 2, crop.width) if is_raw else (crop.height, crop.width, 3)
     merged = merge_signals(frames, shape, u_ratio=exposures.tolerance)
@@ -250,7 +250,7 @@ def _without_absent_filters(
             continue
         nearest = min(bare, key=lambda s: abs(np.log(s.exposure.shutter_s / stated.shutter_s)))
         pair = [nearest, replace(shot, exposure=replace(stated, nd=""))]
-        ratios = bracket_pairs(take_samples(read_frames(pair, profile, crop)[0]))
+        ratios = pair_ratios(take_samples(read_frames(pair, profile, crop)[0]))
         factor = float(np.mean(nd_factors(stated.nd, profile)))
         if ratios and ratios[0].log_ratio > -0.5 * np.log(factor):
             corrected[number] = pair[1]

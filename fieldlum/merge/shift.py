@@ -40,7 +40,7 @@ class ReducedFrame:
     step: int
 
 
-def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) -> ReducedFrame:
+def reduce_frame(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) -> ReducedFrame:
     """Return a frame at a reduced size: its means over blocks of pixels, at most 800 on a side.
 
     signal: [h, w], linear in light with black at 0, in any unit; seen_mask: mask [h, w], False for
@@ -59,7 +59,7 @@ def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) ->
     return ReducedFrame(np.log(np.where(complete, mean, 1.0)).astype(np.float32), complete, side)
 
 
-def shifts(
+def turns_between(
     frames: Sequence[ReducedFrame], lenses: Sequence[LensGeometry], names: Sequence[str]
 ) -> list[ShiftQuality]:
     """Return the turns of the camera between neighbouring frames of a bracket.

@@ -201,7 +201,10 @@ def _with_session_facts(
 
 
 def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTable) -> None:
-    """Write the pictures, then the sidecar: a picture without a sidecar is merged again later."""
+    """Write the pictures, then the sidecar with the recipe as its inputs.
+
+    The order makes an interruption harmless: a picture without a sidecar is merged again later.
+    """
     picture = session.panorama(job.slot)
     with replacing_path(picture) as path:
         write_panorama(path, result.panorama)
@@ -283,7 +286,10 @@ def _units(
 
 
 def _verdict(outcome: work.UnitOutcome) -> Verdict:
-    """Return a unit's verdict: "failed" if its workers failed or the disk is full."""
+    """Return the verdict of a finished unit of work: "failed" too if its workers failed.
+
+    Raises other errors, which are defects of the program.
+    """
     if isinstance(outcome.error, InputError | OSError):
         return Verdict(outcome.unit.name, "failed", str(outcome.error))
     return outcome.result()

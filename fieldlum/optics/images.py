@@ -347,11 +347,10 @@ def write_radiance_hdr(
         lines.append(f"{PANORAMA_LINE}{heading_deg:.6g}")
     if view:
         lines.append(f"VIEW= {view}")
-    lines += ["EXPOSURE=1", f"FORMAT={_RGBE}", ""]
+    lines += ["EXPOSURE=1", f"FORMAT={_RGBE}", "", f"-Y {height} +X {width}", ""]
     if values.ndim == 2:
         values = np.repeat(values[..., None] / RADIANCE_LM_PER_W, 3, axis=-1)
-    head = "\n".join(lines) + f"\n-Y {height} +X {width}\n"
-    path.write_bytes(head.encode() + encode_rgbe(values).tobytes())
+    path.write_bytes("\n".join(lines).encode() + encode_rgbe(values).tobytes())
 
 
 def calibration_mark(profile: CameraProfile) -> dict[str, str]:

@@ -159,7 +159,7 @@ def _end_of(page: Any, content: mmap.mmap, path: Path) -> int:
     return max((at + n for at, n in zip(offsets, counts, strict=False)), default=0)
 
 
-def opened(path: Path) -> Any:
+def open_raw(path: Path) -> Any:
     """Return a raw file as rawpy's object with unpacked pixels, which the caller must close.
 
     Raises InputError for a file that is damaged, is no raw file, or is not supported by LibRaw.
@@ -259,7 +259,7 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
     or without exposure time, f-number or ISO.
     """
     tags = exif.tags_of(path)
-    with opened(path) as raw:
+    with open_raw(path) as raw:
         cfa, index = _pattern(path, raw)
         counts = raw.raw_image_visible
         if not 0 < counts.size <= MAX_PIXELS or min(counts.shape) < 2:
@@ -306,7 +306,7 @@ def _by_program(path: Path) -> tuple[float, float, float]:
     """Return shutter time [s], f-number and ISO by LibRaw, of a JPEG by exiftool; 0 for missing."""
     if is_jpeg(path):
         return exif.by_other_program(path)
-    with opened(path) as raw:
+    with open_raw(path) as raw:
         return _libraw_exposure(raw)
 
 
