@@ -91,13 +91,14 @@ def _samples(
     # (0.009 rad) wide, so that large pixels have enough samples.
     cells = max(1, int(np.ceil(target.pixel_rad / 0.009)))
     if isinstance(target, Equirect):
+        # zenith angles of these rows' upper and lower edge; a pixel is widest at the horizon
         top, bottom = (np.array(rows, float) + target.corner[0]) / target.height * np.pi
         widest = np.sin(np.clip(np.pi / 2.0, top, bottom))
         across = max(3, int(np.ceil(sub * widest)))
-    sub, across = (-(-count // cells) * cells for count in (sub, across))
-    down = first + (np.arange((last - first) * sub) + 0.5) / sub
-    along = (np.arange(width * across) + 0.5) / across
-    x, y, angle = lens_pixels(lens, target.rays(down, along))
+    sub, across = (-(-count // cells) * cells for count in (sub, across))  # rounded up
+    down = first + (np.arange((last - first) * sub) + 0.5) / sub  # places in rows of the target
+    along = (np.arange(width * across) + 0.5) / across  # places in columns
+    x, y, angle = lens_pixels(lens, target.rays(down, along))  # [down, along] each
     weight = target.weight(down, along)
     reach = np.hypot(x - lens.centre_px[0], y - lens.centre_px[1])
     # Some polynomials fall again beyond the edge: the angle leaves their mirror image out.
@@ -108,7 +109,7 @@ def _samples(
     row, column = np.divmod(at, width * across)
     pixel, pixels = np.asarray(row // sub * width + column // across), (last - first) * width
     seen_weight = weight.ravel()[at]
-    total = np.bincount(pixel, seen_weight, pixels)
+    total = np.bincount(pixel, seen_weight, pixels)  # what is seen of each target pixel
     full = weight.reshape(last - first, sub, width, across).sum(axis=(1, 3)).ravel()
     share = seen_weight / total[pixel]
     return _Samples(

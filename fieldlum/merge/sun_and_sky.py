@@ -205,11 +205,12 @@ def sky_cut(
     side = max(1, int(_TILE_DEG / max(0.1, sensor_pitch_deg(views[0].sensor.profile)) + 0.1))
     rows = np.flatnonzero(can_be_sun.any(axis=1))
     first, (left, width) = int(rows[0]), projection.smallest_arc(np.asarray(can_be_sun.any(axis=0)))
-    place = (np.s_[first : int(rows[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1])
+    # the rectangle of all such tiles, which may continue from the last column to the first
+    window = (np.s_[first : int(rows[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1])
     # What a window shows is brighter than the room: only brighter tiles are resampled.
     dark_cdm2 = 1.25 * float(np.median(seen.luminance[seen.coverage > 0.0]))
     shines = (seen.luminance > dark_cdm2) | (seen.flags & Flag.CLIPPED_HIGH > 0)
-    bright = (can_be_sun & _tiles_with(shines & (seen.coverage > 0.0), target))[place]
+    bright = (can_be_sun & _tiles_with(shines & (seen.coverage > 0.0), target))[window]
     light_cdm2 = np.full((bright.shape[0] * side, bright.shape[1] * side), np.nan, np.float32)
     clipped = np.zeros(light_cdm2.shape, bool)
     step = max(1, 60 // side)  # tiles whose matrices have 1 MB at most; decides speed only
@@ -218,11 +219,10 @@ def sky_cut(
         if not tiles.any():
             continue
         used = np.kron(tiles, np.ones((side, side), bool))
-        high, wide = used.shape
-        corner = ((first + i) * side, (left + j) * side)
-        part = Equirect(180 // _TILE_DEG * side, (*corner, high, wide))
+        place = ((first + i) * side, (left + j) * side, *used.shape)
+        part = Equirect(180 // _TILE_DEG * side, place)
         of_block, clipped_in_block = _block(views, part, target)
-        into = np.s_[i * side : i * side + high, j * side : j * side + wide]
+        into = np.s_[i * side : (i + step) * side, j * side : (j + step) * side]
         light_cdm2[into] = np.where(used, of_block, np.nan)
         clipped[into] = used & clipped_in_block
     grid = SkyGrid(
