@@ -205,6 +205,5 @@ def radiance_row(data: Dataset, hours: int) -> dict[str, object] | None:
             trace(tree, np.array(scene.camera_m), rays, PAPER_OPTIONS)
             times_s.append((time.monotonic() - start_s, sum(os.times()[2:4]) - busy_s))
     wall_s, cpu_s = np.mean(times_s, axis=0)
-    row: dict[str, object] = {"name": "Radiance -ab 4", **dict.fromkeys(ERRORS)}
-    row |= {"predict_s_per_map": wall_s, "predict_cpu_s_per_map": cpu_s, "n_test": len(times_s)}
-    return row
+    seconds = {"predict_s_per_map": wall_s, "predict_cpu_s_per_map": cpu_s}
+    return {"name": "Radiance -ab 4", **dict.fromkeys(ERRORS), **seconds, "n_test": len(times_s)}

@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from fieldlum.cli.declared import InOrder
+from fieldlum.cli.command_parameters import InOrder
 from fieldlum.cli.terminal import printable, say
 from fieldlum.core import errors
 from fieldlum.version import __version__

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.declared import EXISTING_PATH, InOrder, declare, numbers
+from fieldlum.cli.command_parameters import EXISTING_PATH, InOrder, declare, numbers
 from fieldlum.cli.options import SHARED
 
 if TYPE_CHECKING:
@@ -338,12 +338,10 @@ def scale(
     readings, frames, notes = scales.from_table(sources, profile)
     fit = scales.fit(readings, meter_u, sources)
     warning = scales.check_level(fit, profile, sources)
-    points = []
-    residual_percent = np.round(100 * fit.residual, 2).tolist()
-    for reading, off_percent in zip(readings, residual_percent, strict=True):
-        row = {"reading": reading.label, "meter": reading.meter}
-        row |= {"picture": reading.image * fit.factor, "off_percent": off_percent}
-        points.append(row)
+    points = [
+        {"reading": r.label, "meter": r.meter, "picture": r.image * fit.factor, "off_percent": off}
+        for r, off in zip(readings, np.round(100 * fit.residual, 2).tolist(), strict=True)
+    ]
     # readings of an illuminance meter, which are compared with the picture's illuminance
     planes = [reading for reading in readings if reading.kind != "spot"]
     verdicts = [illuminance_verdict(p.image * fit.factor, p.meter) for p in planes]
@@ -431,8 +429,7 @@ def linearity(profile: Any, sources: Annotated[Paths, "FRAMES...", EXISTING_PATH
     own = {"linearity": fit.coefficients, "linearity_u_rel": fit.u_rel}
     sensor = replace(profile.sensor, **own, exposure_offset_s=fit.offset_s)
     chart, figures = calibration.chart(levels, fit), {"u_exposure_offset_s": fit.u_offset_s}
-    lines = [fit.choice.line]
-    return FittedPart({"sensor": sensor}, lines, levels.frames, chart, figures=figures)
+    return FittedPart({"sensor": sensor}, [fit.choice.line], levels.frames, chart, figures=figures)
 
 
 @_part

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from fieldlum.cli.declared import EXISTING_PATH
+from fieldlum.cli.command_parameters import EXISTING_PATH
 from fieldlum.cli.options import Azimuths, OpenSession, command_of
 from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 

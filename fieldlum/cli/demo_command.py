@@ -41,9 +41,6 @@ def command(
     outcome = run(folder, preset=preset, show=_shown)
     for name, value, remark in outcome.figures:
         click.echo(f"{name:18} {value:>16}  {remark}")
-    total = sum(outcome.seconds.values())
-    say(
-        "; ".join(f"{name} {seconds:.0f} s" for name, seconds in outcome.seconds.items())
-        + f"; in all {total:.0f} s"
-    )
+    durations = [f"{name} {seconds:.0f} s" for name, seconds in outcome.seconds.items()]
+    say("; ".join([*durations, f"in all {sum(outcome.seconds.values()):.0f} s"]))
     click.echo(f"report: {outcome.report}")

@@ -43,10 +43,8 @@ def command(
     for finding in findings:
         click.echo(click.style(*MARKS[finding.verdict]), nl=False)
         terminal.tell(f"  {finding.what:13} {finding.text}")
-    drawing = session.root / "room.svg"
+    svg = session.root / "room.svg"
     with suppress(OSError):  # a full or read-only disk is reported by another check
-        if write_room(session.site_file(), drawing):
-            terminal.tell(
-                f"      room          drawn in {drawing}: check windows, camera and north"
-            )
+        if write_room(session.site_file(), svg):
+            terminal.tell(f"      room          drawn in {svg}: check windows, camera and north")
     sys.exit(doctor.exit_code(findings))

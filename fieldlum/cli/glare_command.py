@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import click
 
-from fieldlum.cli.declared import FILE_PATH
+from fieldlum.cli.command_parameters import FILE_PATH
 from fieldlum.cli.options import Azimuths, command_of, new_file
 from fieldlum.cli.terminal import notes, print_answer, say, table_lines
 from fieldlum.core.records import JsonTable

@@ -83,8 +83,7 @@ def command(
     print_answer(as_json, {"slots": [verdict.table() for verdict in verdicts]}, lines)
     counts = Counter(verdict.state for verdict in verdicts)
     if not as_json:
-        states = [state for state in ("merged", "kept", "failed") if counts[state]]
-        say(", ".join(f"{counts[state]} {state}" for state in states))
+        say(", ".join(f"{counts[s]} {s}" for s in ("merged", "kept", "failed") if counts[s]))
         if (sheet := session.panoramas / "contact-1.png").is_file():
             say(f"look at {sheet}")
     if counts["failed"]:

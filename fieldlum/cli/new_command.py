@@ -146,8 +146,7 @@ def _angle(limit_deg: float, letters: str) -> Callable[[str], float]:
 
     def reader(text: str) -> float:
         sign = -1.0 if text[-1:].upper() == letters[1] else 1.0
-        number = text.rstrip(f" °{letters}{letters.lower()}")
-        return sign * _number(-limit_deg, limit_deg)(number)
+        return sign * _number(-limit_deg, limit_deg)(text.rstrip(f" °{letters}{letters.lower()}"))
 
     return reader
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from fieldlum.cli.declared import FILE_PATH, PATH, declare
+from fieldlum.cli.command_parameters import FILE_PATH, PATH, declare
 
 if TYPE_CHECKING:
     from fieldlum.core.scheduler import Scheduler
@@ -97,7 +97,7 @@ SHARED = {str(parameter.name): parameter for parameter in declare(_shared, "shar
 def command_of(
     name: str, group: click.Group | None = None
 ) -> Callable[[Callable[..., Any]], click.Command]:
-    """Return a decorator that turns a function into a command, as `declared` describes.
+    """Return a decorator that turns a function into a command, as `command_parameters` describes.
 
     name: of the command; group: to which it is added, None for a command of `fieldlum` itself.
     """

@@ -6,7 +6,7 @@ from typing import Annotated
 import click
 from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
 
-from fieldlum.cli.declared import FILE_PATH
+from fieldlum.cli.command_parameters import FILE_PATH
 from fieldlum.cli.options import OpenSession, command_of
 from fieldlum.cli.terminal import notes, progress
 

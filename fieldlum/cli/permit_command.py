@@ -5,7 +5,7 @@ from typing import Annotated
 
 import click
 
-from fieldlum.cli.declared import EXISTING_PATH
+from fieldlum.cli.command_parameters import EXISTING_PATH
 from fieldlum.cli.options import command_of
 from fieldlum.core.errors import InputError
 

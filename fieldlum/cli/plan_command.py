@@ -7,7 +7,7 @@ from typing import Annotated
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.declared import EXISTING_PATH
+from fieldlum.cli.command_parameters import EXISTING_PATH
 from fieldlum.cli.options import CaptureSet, Year, calendar_day, command_of
 
 

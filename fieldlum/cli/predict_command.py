@@ -71,6 +71,6 @@ def command(
         say(text)
     lines = [f"{summary.hours} daylight hours in {annual.folder / 'hourly.csv'}"]
     for row in summary.protection:
-        azimuth = row.azimuth_deg
-        lines.append(f"  {compass_name(azimuth):3} {azimuth:5.1f}°  {row.sentence}")
+        direction = f"{compass_name(row.azimuth_deg):3} {row.azimuth_deg:5.1f}°"
+        lines.append(f"  {direction}  {row.sentence}")
     print_answer(as_json, {"folder": str(annual.folder), "new": new, **annual.about}, lines)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.declared import EXISTING_PATH
+from fieldlum.cli.command_parameters import EXISTING_PATH
 from fieldlum.cli.options import DEFAULT_SIZE, CaptureSet, Seed, Year, command_of, picture_height
 
 if TYPE_CHECKING:

@@ -39,14 +39,14 @@ def _lines(answer: JsonTable) -> list[str]:
     truth = " of the simulated truth" if pair["usable"] and not pair["done"] else ""
     models = ", ".join(answer["train"]["models"]) or "none"
     of_set = f" ({plan['set']})" if plan["set"] else ""
-    damaged = damage_text(capture["damaged_lines"])
+    damaged = f"; {text}" if (text := damage_text(capture["damaged_lines"])) else ""
     upcoming = f", next {capture['next']}" if capture["next"] else ""
     return [
         f"{answer['session']}: {answer['name']}",
         f"plan        {counted(plan['slots'], 'slot')}{of_set}",
         f"capture     {capture['done']} done, {capture['missed']} missed, {capture['aborted']} "
-        f"aborted, {capture['owed']} to do{upcoming}; {counted(capture['frames'], 'frame')}"
-        + (f"; {damaged}" if damaged else ""),
+        f"aborted, {capture['owed']} to do{upcoming}; "
+        f"{counted(capture['frames'], 'frame')}{damaged}",
         f"irradiance  {counted(log['rows'], 'row')} on {counted(log['days'], 'UTC day')}",
         f"merge       {merge['done']} done, {merge['owed']} to do",
         f"pair        {pair['done']} done, {pair['usable']} usable{truth}, {pair['owed']} to do",

@@ -189,8 +189,7 @@ def progress(label: str) -> Iterator[Progress]:
         rich_progress.MofNCompleteColumn(),
         rich_progress.TextColumn("{task.fields[text]}", markup=False),
     )
-    screen = Console(stderr=True)
-    with rich_progress.Progress(*columns, console=screen, transient=True) as bar:
+    with rich_progress.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=None, text="")
 
         def show(finished: int, total: int, text: str) -> None:

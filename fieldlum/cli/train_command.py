@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from fieldlum.cli.declared import PATH, Named
+from fieldlum.cli.command_parameters import PATH, Named
 from fieldlum.cli.options import Above0, Seed, command_of
 from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 from fieldlum.learn.model_kinds import MODELS

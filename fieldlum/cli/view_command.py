@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import click
 
-from fieldlum.cli.declared import FILE_PATH
+from fieldlum.cli.command_parameters import FILE_PATH
 from fieldlum.cli.options import command_of, new_file
 from fieldlum.cli.terminal import notes, say, table_lines, tell
 

@@ -1,6 +1,7 @@
 """`fieldlum watch`: show a session as a live page in the browser."""
 
 import sys
+from contextlib import closing, nullcontext
 from pathlib import Path
 
 import click
@@ -54,12 +55,8 @@ def command(
         _show_lan(served.address)
     if worker is not None:
         worker.start()
-    try:
-        with terminal.unattended():
-            served.run()
-    finally:
-        if worker is not None:
-            worker.close()
+    with nullcontext() if worker is None else closing(worker), terminal.unattended():
+        served.run()
 
 
 def _show_lan(address: str) -> None:

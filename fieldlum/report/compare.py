@@ -440,11 +440,10 @@ def _numbers(table: strict_csv.CsvTable, column: int) -> Floats:
 
     column: its index. Raises InputError for a cell with another text.
     """
-    remedy = "write numbers, or nothing"
     numbers: list[float] = []
     for line, cells in table.rows:
         where, expected = f"{table.path}: line {line}", f"numbers in {table.names[column]}"
-        with input_errors(where, expected, remedy, ValueError):
+        with input_errors(where, expected, "write numbers, or nothing", ValueError):
             numbers.append(strict_csv.read_number(cells[column], has_codes=False))
     return np.array(numbers)
 
@@ -615,8 +614,7 @@ def _compare_hours(
         notes += () if shared else _other_clock(by_hour, hours, modelled)
         ok = np.isfinite(measured) & np.isfinite(modelled)
         if ok.any():
-            both = (hours[ok], measured[ok], modelled[ok])
-            shared.append(SharedHours(azimuth_deg, figure, *both))
+            shared.append(SharedHours(azimuth_deg, figure, hours[ok], measured[ok], modelled[ok]))
     if not shared:
         raise InputError(path, "no value in daylight hours", "numbers in dgp or ev", "export them")
     if weather := annual.summary.inputs.get("weather"):
@@ -677,14 +675,13 @@ def _hours_of_evalglare(
             continue
         azimuth_deg = _azimuth_of(view, azimuths_deg, path)
         (measured,) = picture_glare(files[slot], [azimuth_deg])["views"]
-        hour = hour_of_year(parse_utc(slot), zone)
         with input_errors(path, "a number for each name", "run evalglare again", ValueError):
             numbers = map(float, result["values"].split())
             values = dict(zip(result["names"].lower().split(","), numbers, strict=True))
         for name in filter(_FIGURES.get, values):
             figure = measured[_FIGURES[name]]  # None where no lens saw the view
             if figure is not None and np.isfinite(values[name]):
-                row = (hour, figure, values[name])
+                row = (hour_of_year(parse_utc(slot), zone), figure, values[name])
                 rows.setdefault((azimuth_deg, _FIGURES[name]), []).append(row)
     if not rows and any(result["names"] for result in results):
         found = f"no result below the name of a capture of {session.root} that saw the view"

@@ -62,8 +62,7 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
     """
     panoramas = session.panorama_files()
     if not panoramas and not session.annual_folders():
-        remedy = "run fieldlum merge"
-        raise NotEnoughDataError(f"{session.root}: no merged map and no year; {remedy}")
+        raise NotEnoughDataError(f"{session.root}: no merged map and no year; run fieldlum merge")
     (out / "maps").mkdir(parents=True, exist_ok=True)
     views_deg = azimuths_deg or (session.site_file().camera.heading_deg,)
     files = [*_sky(session, out), *_room(session, out, views_deg), *_pairs(session, out)]

@@ -166,8 +166,7 @@ def render(page: Page) -> str:
     loader = FileSystemLoader(Path(__file__).parent)
     environment = Environment(loader=loader, autoescape=True, **blocks)
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode()
-    template = environment.get_template("page.html.j2")
-    return template.render(page._asdict(), version=__version__)
+    return environment.get_template("page.html.j2").render(page._asdict(), version=__version__)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -155,16 +155,15 @@ def _parameter(
             extra.name = "number" if isinstance(extra, click.FloatRange) else "integer"
     if entry is None:
         metavar = next((extra for extra in extras if isinstance(extra, str)), None)
-        count = -1 if is_many else 1
-        return click.Argument([parameter.name], nargs=count, metavar=metavar, **settings)
+        nargs = -1 if is_many else 1
+        return click.Argument([parameter.name], nargs=nargs, metavar=metavar, **settings)
     if parts:
         settings |= {"multiple": True} if is_many else {"nargs": len(parts), "type": str}
     if base is bool:
         settings |= {"is_flag": True}
     if base is float:
         settings["callback"] = _finite
-    settings["show_default"] = (
-        not is_required and default not in (None, "", ()) and default is not False
-    )
+    is_empty = default in (None, "", ()) or default is False
+    settings["show_default"] = not is_required and not is_empty
     names = [parameter.name, entry["names"]]
     return click.Option(names, metavar=entry["metavar"], help=entry["help"], **settings)
