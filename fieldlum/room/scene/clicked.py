@@ -238,10 +238,10 @@ def _start(
     for ray, click in zip(rays, clicks, strict=True):
         ends = (float(ray[0] > 0), float(ray[1] > 0), float(click.kind == "ceiling"))
         corners.append(_Corner("", 0, ends) if click.kind in ("floor", "ceiling") else None)
+    camera = (*values[4:6], camera_height_m)
     for place, number in enumerate(numbers):
         own = np.flatnonzero(window == number)
         wall = _wall_of(rays[own, :2].sum(axis=0), distances)
-        camera = (*values[4:6], camera_height_m)
         at = np.array([_on_wall(rays[k], wall, values[1:3], camera) for k in own])
         low, span = at.min(axis=0), np.ptp(at, axis=0)  # [2] along the wall and in height
         if span.min() < _MIN_WINDOW_M:

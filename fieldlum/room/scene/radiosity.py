@@ -142,7 +142,7 @@ def cut_into_pieces(scene: BoxScene, piece_m: float) -> Pieces:
     first, face = np.cumsum(number) - number, faces.repeat(number)  # face: of each piece
     row, column = np.divmod(np.arange(len(face)) - first[face], counts[face, 0])
     sub = (np.arange(_SUB) + 0.5) / _SUB
-    inner = np.stack(np.meshgrid(sub, sub), axis=-1).reshape(-1, 2)
+    inner = np.stack(np.meshgrid(sub, sub), axis=-1).reshape(-1, 2)  # sample points of a piece
     place = np.stack((column, row), axis=1)[:, None] + inner  # [p, points, 2]
     place = low[face, None] + place / counts[face, None] * (high - low)[face, None]
     position, piece = _open_points(scene, place, axis[face], sign[face], at_m[face])
