@@ -141,8 +141,8 @@ def _patch(
 ) -> tuple[Floats, float]:
     """Return the colour [3] of a patch, corrected for vignetting, and the relative u of a reading.
 
-    radius_px : of the patch around `at`; u_rel : of the meter's reading or the chart's patch. The
-    result's u also has that of the patch in the frame.
+    at, radius_px : centre and radius of the patch; u_rel : relative u of the meter's reading or of
+    the chart's patch. The result's u also has that of the patch in the frame.
     """
     rgb, u_patch = frame.patch(at.x, at.y, radius_px)
     transmission = fit_steps.transmission(profile, frame.exposure.f_number, at.x, at.y)
@@ -351,11 +351,12 @@ def with_melanopic(
 ) -> tuple[Colour, str]:
     """Return the profile's colours with a melanopic weight, and a line on where they are from.
 
-    colour : with the fitted y_from_rgb and its u. scale : of that fit. cct_k : correlated colour
-    temperature of the daylight on a chart, or on the grey first reading, None if unknown.
-    clear_glass : the camera's rooms have no grey or bronze glass and no film. X, Y, Z come from the
-    chart, else from the colour matrix in the frames. The weight follows from X, Y, Z, and from
-    readings of a spectrometer if there are any. Without any of these, the table has none.
+    colour : the profile's table with the fitted y_from_rgb and its u. scale : the scale of that
+    fit. cct_k : correlated colour temperature of the daylight on a chart, or on the grey first
+    reading, None if unknown. clear_glass : the camera's rooms have no grey or bronze glass and no
+    film. X, Y, Z come from the chart, else from the colour matrix in the frames. The weight follows
+    from X, Y, Z, and from readings of a spectrometer if there are any. Without any of these, the
+    table has none.
     """
     # `origin`: the weights of X, Y, Z and their relative uncertainty, by where the colours are from
     origin, to_xyz = melanopic.BY_MATRIX, rgb_to_xyz(RADIANCE_CHROMATICITIES)

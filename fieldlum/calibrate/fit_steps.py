@@ -40,8 +40,8 @@ Parameters = TypeVar("Parameters")
 class OrderSelection:
     """The candidate that held-out data chose, and a line for the profile with the reason.
 
-    index: of the candidate, from 0; rms: its held-out rms; line: lists all candidates, and states
-    why this one was chosen.
+    index: place of the candidate, from 0; rms: its held-out rms; line: lists all candidates, and
+    states why this one was chosen.
     """
 
     index: int
@@ -57,7 +57,7 @@ def choose(
 ) -> OrderSelection:
     """Return the smallest candidate within one standard error of the best, with a line of text.
 
-    candidates : of each the name, the size (number of free parameters, or a rank in their order),
+    candidates : for each its name, the size (number of free parameters, or a rank in their order),
     and the squared errors [n] of held-out data, which are the same for every candidate. The best
     has the smallest mean of them; the smallest has the lowest size. what : name of the fit; unit :
     of the errors' root in that line, "%" of a share. negligible : a candidate whose rms is larger
@@ -88,10 +88,9 @@ def fit_and_choose(
 ) -> tuple[Model, Parameters, OrderSelection]:
     """Return the model that held-out data choose, its parameters by all data, and the choice.
 
-    models : each with its name and size, as in `choose`. groups [n] : of the data, see `folds`.
-    solve : fits a model to the data of a mask. errors : squared errors of the data of a mask by a
-    model's parameters, NaN for a datum that cannot be predicted. what, unit, negligible : as in
-    `choose`.
+    models : each with its name and size, as in `choose`. groups [n] : as in `folds`. solve : fits a
+    model to the data of a mask. errors : squared errors of the data of a mask by a model's
+    parameters, NaN for a datum that cannot be predicted. what, unit, negligible : as in `choose`.
     """
     candidates = []
     for name, size, model in models:
@@ -352,7 +351,7 @@ def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
 def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: float) -> float:
     """Return the transmission of the nearest lens at a place on the sensor, relative to its axis.
 
-    f_number : of the frame; x_px, y_px : the place. A value divided by it is corrected for
+    f_number : aperture of the frame; x_px, y_px : the place. A value divided by it is corrected for
     vignetting. It is 1 if the lens has no curve. Raises InputError if the lens only has curves for
     other apertures.
     """

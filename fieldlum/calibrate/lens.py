@@ -144,12 +144,12 @@ def _solve(
     *,
     pose: bool,
 ) -> tuple[Lens, Array, Any]:
-    """Fit a lens to places [n] by robust least squares; return it, the other unknowns, and scipy's.
+    """Return the lens that fits places [n] best, the other unknowns [m], and scipy's solution.
 
-    start : the lens from which the search starts; model : mapping and powers, one of `MODELS`;
-    x_px, y_px : the places. rays_of : returns the directions [n, 3] of the places for the other
-    unknowns [m], which start at `others`. pose : the lens's pose is fitted too. The last result is
-    the solution of `scipy.optimize.least_squares`.
+    The fit is by robust least squares. start : the lens from which the search starts; model :
+    mapping and powers, one of `MODELS`; x_px, y_px : the places. rays_of : returns the directions
+    [n, 3] of the places for the other unknowns [m], which start at `others`. pose : the lens's pose
+    is fitted too. The last result is that of `scipy.optimize.least_squares`.
     """
     mapping, powers = model
     names = _POSE if pose else ()
@@ -286,7 +286,7 @@ def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
 def fit_boards(
     corners: Sequence[Array], columns: int, rows: int, lens: Lens
 ) -> tuple[LensFit, Targets]:
-    """Fit a lens and the poses of n chessboards to their corners; return it, and the targets used.
+    """Fit a lens and the poses of n chessboards; return the fit, and the corners as its targets.
 
     corners : results of `chessboard_corners` [rows * columns, 2] px, one for each picture with a
     board; columns, rows : numbers of inner corners along the board's sides. The fit starts from
@@ -300,7 +300,7 @@ def fit_boards(
     points[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
 
     def rays_of(poses: Array) -> Array:
-        """Return the directions [corners, 3] of all corners; poses: as of `_board_pose`, [6 n]."""
+        """Return the directions [corners, 3] of all corners; poses [6 n]: see `_board_pose`."""
         boards = [(Rotation.from_rotvec(p[:3]), p[3:]) for p in poses.reshape(-1, 6)]
         places = np.concatenate([turn.apply(points) + position for turn, position in boards])
         return places / np.linalg.norm(places, axis=-1, keepdims=True)

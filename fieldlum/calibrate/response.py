@@ -211,7 +211,7 @@ def sample(
     """Sample the same flat places in every frame of a bracket, pooled over brackets.
 
     If the profile's shutter law is "auto", the law is that of the EXIF times; the overlap of the
-    frames then corrects single steps. brackets: the frames of each; rng: of the choice of places,
+    frames then corrects single steps. brackets: the frames of each; rng: for the choice of places,
     which are spread over the brightnesses. Raises InputError for a bracket of mixed apertures or
     sizes or with fewer than three exposures, NotEnoughDataError for one with fewer than 50 flat,
     well exposed places.
@@ -219,15 +219,16 @@ def sample(
     parts = [_flat_places(paths, profile, rng) for paths in brackets]
     nominal_s = [exposure.shutter_s for _, exposures in parts for exposure in exposures]
     law = stated_law(nominal_s, profile.shutter_law, profile.camera.model)
-    lawful, axes = replace(profile, shutter_law=law.law), []  # ln of exposure of each frame
+    lawful, axes = replace(profile, shutter_law=law.law), []
     for (_, exposures), paths in zip(parts, brackets, strict=True):
         iso_s = [true_shutter_s(e.shutter_s, lawful)[0] * e.iso for e in exposures]
-        axes.append(np.round(np.log(iso_s), 4))
+        axes.append(np.round(np.log(iso_s), 4))  # of each frame of the bracket
         if (count := len(np.unique(np.round(axes[-1], 3)))) < 3:
             finding = f"{len(exposures)} frames with {count} different exposures"
             expected = "a bracket with at least three different exposures"
             raise InputError(paths[0].parent, finding, expected, "take more exposures")
-    grid = np.unique(np.concatenate(axes))
+    grid = np.unique(np.concatenate(axes))  # all exposures of all brackets
+    # codes of each bracket's places on the grid, 0 for an exposure that the bracket lacks
     of_brackets = [np.zeros((len(part), len(grid), 3), np.uint8) for part, _ in parts]
     for on_grid, (part, _), log_e in zip(of_brackets, parts, axes, strict=True):
         on_grid[:, np.searchsorted(grid, log_e)] = part
@@ -341,8 +342,9 @@ def place_variances(
     """Return the variance of ln(z / exposure) over the frames of each place, [places].
 
     With the right table it contains only noise, because the light of a place is the same in all
-    frames. table [256] : linear light z of each code; codes [places, frames] : of one colour; log_e
-    [frames] : ln of exposure. Codes from `low` to 228 count; NaN for places with fewer than two.
+    frames. table [256] : linear light z of each code; codes [places, frames] : those of one colour;
+    log_e [frames] : ln of exposure. Codes from `low` to 228 count; NaN for places with fewer than
+    two.
     """
     off = _off_mean(table, codes, log_e, low)
     freedom = np.isfinite(off).sum(axis=1) - 1

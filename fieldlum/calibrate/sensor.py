@@ -225,8 +225,8 @@ def _residuals(solution: Floats, levels: Levels, fitted: Mask, judged: Mask) -> 
 def _solve(levels: Levels, rows: Mask, order: int) -> tuple[Floats, Floats]:
     """Fit offset [s] and coefficients to the frames `rows`; return them, and their covariance.
 
-    They are found by weighted least squares from a linear sensor without an offset. order: that of
-    the polynomial.
+    They are found by weighted least squares from a linear sensor without an offset. order: highest
+    power of the polynomial.
     """
     from scipy.optimize import least_squares
 

@@ -57,7 +57,7 @@ Bracket = Sequence[ShutterReading]
 class TimeRatio(NamedTuple):
     """The measured exposure ratio of one pair of shutter times, over all brackets.
 
-    median : of log_ratio (see `ShutterReading`); spread : standard deviation of log_ratio over
+    median : that of log_ratio (see `ShutterReading`); spread : standard deviation of log_ratio over
     brackets, without the noise of single readings; error : standard error of the median; brackets :
     number of readings of the pair; seconds : median time from the longer to the shorter frame.
     """

@@ -80,8 +80,9 @@ def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
 def reading(picture: Panorama, profile: CameraProfile, row: fit_steps.CsvRow) -> StrayReading:
     """Return the stray light at a dark place of a picture, and the light that may cause it.
 
-    row : of the csv. Only the field of the lens whose axis is nearest to the place counts. Raises
-    InputError for a place that is clipped, outside the lens or not brighter than in reality.
+    row : the line of the csv with the place. Only the field of the lens whose axis is nearest to
+    the place counts. Raises InputError for a place that is clipped, outside the lens or not
+    brighter than in reality.
     """
     height, width = picture.luminance_cdm2.shape
     place = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])
@@ -107,8 +108,8 @@ def reading(picture: Panorama, profile: CameraProfile, row: fit_steps.CsvRow) ->
     ray, heading_deg = direction(place.y, place.x), picture.heading_deg
     axes = [direction(lens.tilt_deg, heading_deg + lens.azimuth_deg) for lens in profile.lens]
     nearest = int(np.argmax([axis @ ray for axis in axes]))
-    in_field = rays @ axes[nearest] >= np.cos(profile.lens[nearest].half_angle_rad)
-    lit = in_field & (flux > 0)
+    # pixels with light in the field of that lens
+    lit = (rays @ axes[nearest] >= np.cos(profile.lens[nearest].half_angle_rad)) & (flux > 0)
     angle_rad = np.arccos(np.clip(rays[lit] @ ray, -1.0, 1.0))
     return StrayReading(place, stray, angle_rad, flux[lit])
 
@@ -149,10 +150,8 @@ def _design(readings: Sequence[StrayReading], nodes: tuple[float, ...]) -> Float
 
     The kernel of a node is 1 / sr there and 0 at the other nodes; nodes: angles [deg].
     """
-    at, kernels = np.asarray(nodes), np.eye(len(nodes))
-    rows = [
-        [kernel_per_sr(r.angle_rad, at, kernel) @ r.flux for kernel in kernels] for r in readings
-    ]
+    at, units = np.asarray(nodes), np.eye(len(nodes))
+    rows = [[kernel_per_sr(r.angle_rad, at, unit) @ r.flux for unit in units] for r in readings]
     return np.array(rows, float)
 
 

@@ -33,8 +33,8 @@ class Samples(NamedTuple):
 
     r [n] : angle from the axis over half of the lens's full angle; value [n] : light in any linear
     unit; u_rel [n] : relative uncertainty of the value; lens : index of the lens in the profile;
-    frames : files. Readings of equal angle are held out together. places : of the readings, if they
-    are patches.
+    frames : files. Readings of equal angle are held out together. places : those of the readings,
+    if they are patches.
     """
 
     r: Array
@@ -50,8 +50,8 @@ class VignettingFit(NamedTuple):
     """A fitted vignetting curve: transmission relative to the axis, in powers of r of `Samples`.
 
     u_rel : relative rms of held-out readings; residual_rel [n] : reading over fit minus 1, also for
-    omitted readings. coefficients : of the powers 0, 1, 2 ... of r; the first is 1. level : the
-    readings' value on the axis. choice : how the number of powers was chosen.
+    omitted readings. coefficients : factors of the powers 0, 1, 2 ... of r; the first is 1. level :
+    the readings' value on the axis. choice : how the number of powers was chosen.
     """
 
     coefficients: tuple[float, ...]
@@ -272,7 +272,10 @@ def with_curve(lens: Lens, f_number: float, vignetting: VignettingFit) -> Lens:
 
 
 def chart(samples: Samples, fit: VignettingFit, half_angle_deg: float) -> Chart:
-    """Return a chart of transmission over angle from the axis; half_angle_deg : of the lens."""
+    """Return a chart of transmission over the angle from the axis.
+
+    half_angle_deg : half of the lens's full angle.
+    """
     angle = ("angle from the optical axis [deg]", samples.r * half_angle_deg)
     value = ("transmission relative to the axis", samples.value / fit.level)
     title = f"vignetting at f/{samples.f_number:g}; held-out rms {100 * fit.u_rel:.2g} %"

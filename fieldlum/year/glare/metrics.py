@@ -113,7 +113,7 @@ def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> Floats:
     """Return the veiling luminance 10 (1 + (age / 70)^4) sum E / angle^2, in cd/m2, [...].
 
     veiling_sum : [...] sum over sources of their vertical illuminance E [lx] over the square of
-    their angle from the line of sight [deg], of at least 1 degree. age_years : of the observer.
+    their angle from the line of sight [deg], of at least 1 degree. age_years : age of the observer.
     This is the age-adjusted Stiles-Holladay formula (CIE 146:2002).
     """
     return 10.0 * (1.0 + (age_years / 70.0) ** 4) * np.asarray(veiling_sum, float)
@@ -177,8 +177,8 @@ def glare_directions(
     luminance_cdm2 : [n, H, W] without the sun's disc; views : weights of their pixels.
     sun_direction : [n, 3] unit vectors (x east, y north, z up), or [m, n, 3] of the sun and images
     of it in mirrors; None without a sun. disc_lx : [n] or [m, n] illuminance from each, at the
-    lens, on a plane normal to it; 0 where it is hidden; None without a sun. sources :
-    `glare_sources` of each map, if they are known.
+    lens, on a plane normal to it; 0 where it is hidden; None without a sun. sources : result of
+    `glare_sources` for each map, None to compute it.
 
     Keys: those of `METRICS`, and the parts of DGP: contrast is the sum of L^2 omega / P^2 over
     sources; sun_contrast and sun_ev_lx are the parts of sun and images in contrast and Ev. ugr,

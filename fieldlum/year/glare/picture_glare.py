@@ -54,7 +54,7 @@ def picture_glare(
     fisheye's own. reference : add evalglare's figures. view_options : Radiance's options that
     replace the view in the file; "" to use the file's. part : name of the part, layer or stereo
     view of an .exr; "" for the only one. measured_ev_lx : scale the picture so that its first view
-    has this vertical illuminance; None for no scaling. lamps : of `melanopic_edi`. Keys:
+    has this vertical illuminance; None for no scaling. lamps : as for `melanopic_edi`. Keys:
     `glare_answer`. Raises InputError for an unusable picture, for azimuths other than the own one
     of a picture that is no panorama, or if a picture to scale has no light in its first view.
     """
@@ -103,13 +103,13 @@ def glare_answer(
     picture covers; 1 for a panorama. rammg_cdm2 : of a panorama, see `contrast`.
 
     views, a table for each direction : azimuth_deg, altitude_deg (of a single picture) : its
-    direction. The names of `METRICS` and of `region_ratios`. melanopic_edi_lx : by the camera's
-    colour, or the estimate; u_melanopic_edi_lx : its standard uncertainty, or None. verdict : the
-    grade of DGP; "A to B" if dgp_low and dgp_high have different ones; "not seen". seen : "seen",
-    "partly seen" or "not seen", by seen_share (see `ViewCoverage`). dgp_low, dgp_high : bounds of
-    DGP of a partly seen direction. source_count, sources : of a single picture, the strongest 20.
-    reference : evalglare's figures, if requested, of fully seen directions. Undefined figures are
-    None.
+    direction. The names of `METRICS` and of `region_ratios`. melanopic_edi_lx : measured by the
+    camera's colour, or estimated; u_melanopic_edi_lx : its standard uncertainty, or None. verdict :
+    the grade of DGP; "A to B" if dgp_low and dgp_high have different ones; "not seen". seen :
+    "seen", "partly seen" or "not seen", by seen_share (see `ViewCoverage`). dgp_low, dgp_high :
+    bounds of DGP of a partly seen direction. source_count, sources : of a single picture, the
+    strongest 20. reference : evalglare's figures, if requested, of fully seen directions. Undefined
+    figures are None.
     """
     panorama, heading_deg = picture.panorama, picture.panorama.heading_deg
     views, share = _views_and_share(picture, path, azimuths_deg)
@@ -125,7 +125,6 @@ def glare_answer(
     if reference:
         _add_reference(rows, pixels, picture, views, sun)
     graded = [np.nan if row["seen"] == projection.NOT_SEEN else row["dgp"] for row in rows]
-    texts = (*_picture_texts(picture), *warnings, *_figure_texts(rows, share, factor))
     answer: JsonTable = {
         "file": str(path),
         "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
@@ -134,7 +133,7 @@ def glare_answer(
         "melanopic_der": "D65, assumed" if melanopic_ratio(panorama) is None else "colour",
         "views": rows,
         "disturbed_share": plain(float(disturbed_share(np.array([graded], float))[0])),
-        "warnings": list(texts),
+        "warnings": [*_picture_texts(picture), *warnings, *_figure_texts(rows, share, factor)],
         "covered_share": share,
     }
     if views.is_panorama:
@@ -311,8 +310,8 @@ def _picture_texts(picture: Picture) -> Iterator[str]:
 def _figure_texts(rows: Sequence[Mapping[str, Any]], share: float, factor: float) -> Iterator[str]:
     """Yield warnings of a small picture, more light than sun and sky give, and darkness.
 
-    rows: figures of each view; share: of the hemisphere in front that the picture covers; factor:
-    by which its luminance was multiplied (--calibrate-ev), 1 if it was not.
+    rows: figures of each view; share: part (0 to 1) of the hemisphere in front that the picture
+    covers; factor: by which its luminance was multiplied (--calibrate-ev), 1 if it was not.
     """
     if share < projection.FULLY_SEEN_SHARE:
         yield (

@@ -358,7 +358,7 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
 
 
 # ----------------------------------------------------------------------------------------------
-# fisheyes of a panorama: by flux; the sun by its energy
+# Fisheyes of a panorama preserve its flux, and the energy of the sun.
 
 FISHEYE_VIEW = "-vta -vh 180 -vv 180"
 
@@ -450,7 +450,7 @@ class ReferenceGlare(NamedTuple):
 
     dgp, dgi, ugr, ugp, cgi : its indices. ev_lx : vertical illuminance. background_cdm2 :
     background luminance. veiling_cdm2 : veiling luminance of Stiles and Holladay without the age
-    term (evalglare's Lveil_cie). sources : number of glare sources. version, flags : of the
+    term (evalglare's Lveil_cie). sources : number of glare sources. version, flags : those of the
     evalglare that was run.
     """
 

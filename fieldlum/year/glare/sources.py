@@ -34,7 +34,7 @@ def view_azimuths_deg(heading_deg: float, views: int = 10) -> Floats:
 def view_frame(azimuth_deg: float) -> Floats:
     """Return the unit vectors right, up and forward of a horizontal view as rows, [3, 3].
 
-    Columns are x east, y north, z up. azimuth_deg : of the view direction, clockwise from north.
+    Columns are x east, y north, z up. azimuth_deg : azimuth of the view, clockwise from north.
     """
     forward = projection.direction(0.0, azimuth_deg)
     right = projection.direction(0.0, azimuth_deg + 90.0)
@@ -116,7 +116,7 @@ def panorama_views(
 ) -> Views:
     """Return `Views` of a panorama: its pixels' weights in d view directions, for all hours.
 
-    height, width : of the panorama in pixels; heading_deg : azimuth of its centre column;
+    height, width : size of the panorama in pixels; heading_deg : azimuth of its centre column;
     azimuths_deg : [d] view directions; azimuths are clockwise from north. seen : pixels that a lens
     saw [H, W]; None for all. The weights need 16 bytes of memory for each pixel and direction.
     """

@@ -123,9 +123,9 @@ def protection(
 ) -> tuple[DirectionYear, ...]:
     """Return the EN 17037 glare protection in d view directions, with 95 % intervals.
 
-    dgp, uncertainty : of the n lit occupied hours, [n, d]. occupied_hours : number of lit and dark
-    occupied hours. azimuths_deg : [d], clockwise from north. A direction that was not seen has no
-    figures; without u_maps in all others there are no intervals. u_common : [n, d] standard
+    dgp [n, d], uncertainty : those of the n lit occupied hours. occupied_hours : number of lit and
+    dark occupied hours. azimuths_deg : [d], clockwise from north. A direction that was not seen has
+    no figures; without u_maps in all others there are no intervals. u_common : [n, d] standard
     uncertainty of DGP by an error that all hours and directions share, such as the camera's scale;
     None for none.
 
@@ -174,8 +174,8 @@ def _interval(
 ) -> tuple[Floats, Floats]:
     """Return the ends of the 95 % interval of dgp_exceeded for each direction, [d] each.
 
-    dgp [n, d]: of the lit occupied hours; u_common [n, d]: standard uncertainty by an error that
-    all hours share; occupied_hours: lit and dark ones; uncertainty: of the same hours.
+    dgp [n, d]: that of the lit occupied hours; u_common [n, d]: standard uncertainty by an error
+    that all hours share; occupied_hours: number of lit and dark ones; uncertainty: that of `dgp`.
     """
     ends = []
     bounds = np.stack([uncertainty.minimum, uncertainty.maximum])  # [2, n, d]

@@ -132,8 +132,8 @@ def budget_of_file(path: Path, azimuths_deg: Sequence[float], lamps: bool | None
     """Return `picture_budget` of a panorama on disk, with the uncertainty of its heading.
 
     That is the one of the pose in the session's sky view, or of a compass without it. Raises
-    InputError for an unusable picture, or one that is no panorama. azimuths_deg: of the views;
-    lamps: whether lamps are on, None for unknown.
+    InputError for an unusable picture, or one that is no panorama. azimuths_deg: the view
+    directions; lamps: whether lamps are on, None for unknown.
     """
     picture = read_picture(path)
     if picture.view is not None:
@@ -176,7 +176,7 @@ def year_budget(
 ) -> list[Budget]:
     """Return the budget of the DGP that is exceeded in 5 % of the occupied hours, by direction.
 
-    dgp, ev_lx [n, d], uncertainty: of the n lit occupied hours; azimuths_deg: of the directions
+    dgp, ev_lx [n, d], uncertainty: those of the n lit occupied hours; azimuths_deg: the directions
     [d]. u_camera_rel: relative standard uncertainty by each part of the camera's calibration.
     Another year's weather, a blind that moves and clouds that move within the hour are not in it.
     """
@@ -223,10 +223,10 @@ def budgets_of_year(
 ) -> list[Budget]:
     """Return the budgets of a year's figures: functions of the values of n hours in d directions.
 
-    figures: of values [n, d], by name, [d] each. unit: of figures that are not in `UNITS`. changes:
-    for each source what one u adds to the values: [n, d], by an error of all hours, or as
-    `standards.year_errors` for those of `MODEL`; or draws [m, n, d]. unseen: what the unseen part
-    adds to the figures.
+    figures: computes the figures of values [n, d], by name, [d] each. values: their estimate. unit:
+    that of figures that are not in `UNITS`. changes: for each source what one u adds to the values:
+    [n, d], by an error of all hours, or as `standards.year_errors` for those of `MODEL`; or draws
+    [m, n, d]. unseen: what the unseen part adds to the figures.
 
     The figures are no linear functions: u is the rms difference from the estimate of all sources
     drawn together (JCGM 101:2008), and those of each source alone are scaled so that their squares
@@ -262,8 +262,8 @@ def _budgets(
 ) -> list[Budget]:
     """Return a budget for each direction and figure, without figures that are not finite.
 
-    estimates: of the figures by name, [d] each; azimuths: of the directions [d] deg; rows: what
-    each source adds to the u of each figure; unit: of figures that are not in `UNITS`.
+    estimates: the figures by name, [d] each; azimuths: the directions [d] in degrees; rows: what
+    each source adds to the u of each figure; unit: that of figures that are not in `UNITS`.
     """
     budgets = []
     for i, azimuth_deg in enumerate(azimuths.tolist()):

@@ -416,7 +416,7 @@ def room_figures(
 ) -> HourFigures:
     """Predict the n hours of `light` in this process, and return their figures in d directions.
 
-    azimuths_deg: of the directions [d], clockwise from north. Raises the errors of `blocks`.
+    azimuths_deg: the directions [d], clockwise from north. Raises the errors of `blocks`.
     """
     best_lx, discs_lx = discs_of(room, light, seed=0)
     judge, hours = HourJudge(room, azimuths_deg), blocks(fitted, room, light, best_lx)
@@ -427,7 +427,7 @@ def discs_of(room: ModelRoom, light: Light, seed: int) -> tuple[Floats, Floats]:
     """Return the sun disc's illuminance in n hours [n] lx, and random draws of it [m, n] lx.
 
     It is that of the part that the lens sees, on a plane normal to the sun; 0 where the disc is
-    hidden. seed: of the draws.
+    hidden. seed: for the random numbers.
     """
     rng = np.random.default_rng([seed, 2])
     view, setup = room.sky_view, room.setup

@@ -49,9 +49,9 @@ class MelanopicYear:
 
     kernel, captured : covariance between hours, and the captures' features; coefficients [n, d] :
     kernel(hours, captured) @ coefficients is Ev over the total light outside. u_camera_rel :
-    relative standard uncertainty by each part of the camera's calibration. weights [4] : of an
-    overcast sky, of a sky's clearness, of the sun and of lamps; factors [d] : of the directions;
-    u_fit_rel : relative standard uncertainty by days held out.
+    relative standard uncertainty by each part of the camera's calibration. weights [4] : those of
+    an overcast sky, of a sky's clearness, of the sun and of lamps; factors [d] : one for each
+    direction; u_fit_rel : relative standard uncertainty by days held out.
     """
 
     kernel: Kernel
@@ -150,10 +150,10 @@ def fit_year(
 ) -> MelanopicYear:
     """Fit the ratio of melanopic to photopic light to n captures in d view directions.
 
-    light : of the captures; ev_lx, edi_lx : vertical illuminance and melanopic EDI without the
+    light : that of the captures; ev_lx, edi_lx : vertical illuminance and melanopic EDI without the
     sun's disc, [n, d]; u_camera_rel : relative standard uncertainty by each part of the camera's
-    calibration; facades : of the room. The uncertainty is the error for days that were held out, 10
-    % if all captures are of one day.
+    calibration; facades : those of the room. The uncertainty is the error for days that were held
+    out, 10 % if all captures are of one day.
     """
     ratio, errors = edi_lx / ev_lx, []
     day = np.array([t.toordinal() for t in light.t_utc])
@@ -217,8 +217,8 @@ def year_of_captures(
 ) -> MelanopicYear:
     """Fit the ratio of melanopic to photopic light to the pictures of a pairs.csv.
 
-    room: of the model, whose pose the pictures have; azimuths_deg: of the directions; u_camera_rel:
-    relative standard uncertainty by each part of the camera's calibration. Raises
+    room: that of the model, whose pose the pictures have; azimuths_deg: the view directions [d];
+    u_camera_rel: relative standard uncertainty by each part of the camera's calibration. Raises
     NotEnoughDataError if no picture has melanopic colour.
     """
     views = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg, room.seen)

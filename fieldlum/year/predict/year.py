@@ -204,7 +204,7 @@ def _judged(
 
 
 def _write(annual: Annual, budgets: list[budget.Budget], pictures: Pictures, zone: str) -> None:
-    """Write all files of a year but its maps into its folder; zone: of the local times, IANA."""
+    """Write all files of a year but its maps into its folder; zone: IANA name."""
     folder = annual.folder
     annual.write(folder, zone)
     write_pictures(folder / "pictures.npz", pictures)
@@ -352,8 +352,8 @@ def _differences(
 def is_model_outdated(session: Session, config: ModelConfig, view: SkyView | None) -> bool:
     """Return whether a session's pictures, irradiance or times are not those of a model's training.
 
-    The inputs of both sky views decide. Captures that were added since do not count. view: of the
-    model; if it was computed from other captures (train --sky-view), the answer is False.
+    The inputs of both sky views decide. Captures that were added since do not count. view: that of
+    the model; if it was computed from other captures (train --sky-view), the answer is False.
     """
     own = SkyView.find(session.sky_view)
     if own is None or view is None or not view.inputs:
@@ -460,8 +460,8 @@ def _notes(
 ) -> Iterator[str]:
     """Yield the notes and warnings that a reader of the predicted year needs.
 
-    summary: of the year, with occupancy and protection; room: that of the model; budgets: of the
-    exceeded DGP.
+    summary: the year's, with occupancy and protection; room: that of the model; budgets: those of
+    the exceeded DGP.
     """
     occupancy, untrusted = summary.occupancy, summary.occupancy.untrusted_share
     yield (
