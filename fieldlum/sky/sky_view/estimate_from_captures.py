@@ -37,7 +37,13 @@ from fieldlum.sky.sky_view.sky_directions import (
     sky_share,
 )
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
-from fieldlum.sky.sky_view.view import LENS_PIXEL_DEG, REACH_DAYS, SkyView, between
+from fieldlum.sky.sky_view.view import (
+    LENS_PIXEL_DEG,
+    REACH_DAYS,
+    UNIFORM_SDS,
+    SkyView,
+    between,
+)
 from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours, efficacy_u
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
@@ -314,14 +320,17 @@ def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = N
     doubt = 1.0 + _FEW_CAPTURES / np.maximum(followed.count, 1.0)  # 1 with very many captures
     scatters, bright = _undecided(followed, brightest, apart & ~slats, doubt)
     few = followed.count < MIN_CAPTURES
+    undecided = scatters | bright | few
     widest = np.clip(1.3 * doubt * ratio, high, 1.0)  # with a margin of 30 %
+    low, high = np.where(few, 0.0, low), np.where(undecided, widest, high)
+    u = np.where(undecided | slats, np.fmax(u, (high - low) / UNIFORM_SDS), u)
     channels: dict[str, Any] = {
         "openness": openness,
         "u": np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0),
         "count": np.where(stack.dark, len(stack.light), followed.count),
         "transmittance": np.where(stack.dark, 0.0, pane),
-        "low": np.where(few, 0.0, low),
-        "high": np.where(scatters | bright | few, widest, high),
+        "low": low,
+        "high": high,
     }
     not_seen = np.isnan(ratio) & ~stack.dark
     for name, values in channels.items():
@@ -417,7 +426,8 @@ def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
     low = np.where(changes, np.float32(0.0), view.low)
     highest = np.clip((1.0 + 2.0 * _SCALE_SD) * stack.placed(sky), view.high, 1.0)
     high = np.where(changes, highest, view.high).astype(np.float32)
-    view, seasons = replace(view, low=low, high=high), []
+    u = np.where(changes, np.fmax(view.u, (high - low) / UNIFORM_SDS), view.u).astype(np.float32)
+    view, seasons = replace(view, low=low, high=high, u=u), []
     if changes.sum() < _SOME_SKY * decided.sky.sum():
         return replace(decided, view=view)
     for (rows, reference), dark in zip(seasonal, hidden, strict=True):

@@ -41,6 +41,7 @@ LENS_PIXEL_DEG = 1.0  # larger pixels are means of a lens's; chosen
 _OPEN_PIXEL = 0.95  # openness of a pixel that has no edge: known to 0.05; chosen
 # A lens blurs an edge over two pixels: less open is shut, and as much less than 1 is open. Chosen.
 _LENS_BLUR = 0.2
+UNIFORM_SDS = 12**0.5  # standard deviations in the width of a uniform distribution
 # Smoothed share of open sky from which a place counts as open in the maps best, low and high.
 # Chosen for the bounds.
 _DOUBT = (0.5, 0.75, 0.25)
@@ -211,7 +212,10 @@ class SkyView:
         factor = max(1, int(np.ceil(self.grid.step_deg / _FINE_DEG)))
         maps = np.stack([self.through, self.low, self.high]).astype(np.float32)
         if factor > 1:
-            maps = _fine_edges(maps, self.openness, factor)
+            # where captures left open whether the sky is seen, no edge narrows the bounds
+            width = self.high - self.low
+            undecided = (width > 0.0) & (self.u > 0.8 * width / UNIFORM_SDS)
+            maps = _fine_edges(maps, self.openness, undecided, factor)
         step_deg, (height, width) = self.grid.step_deg / factor, maps.shape[1:]
         return replace(self.grid, step_deg=step_deg, height=height, width=width), maps
 
@@ -258,10 +262,11 @@ def _layer(k: int) -> str:
     return f"other{k}." if k else ""
 
 
-def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
+def _fine_edges(maps: Floats32, openness: Floats32, undecided: Mask, factor: int) -> Floats32:
     """Return best, low and high [3, h, w] enlarged by `factor`, with sharp edges.
 
-    maps [3, h, w], openness [h, w]: at the view's own resolution. The edges between sky and what is
+    maps [3, h, w], openness [h, w], undecided [h, w] (pixels that keep their bounds): at the view's
+    own resolution. The edges between sky and what is
     in front of it are the shortest that give each pixel its openness. Slats and leaves keep the
     mean of their pixel (`_texture`).
     """
@@ -285,7 +290,7 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
     # Slats of a lens's pixel look like a blurred edge, and a bar in a pixel between open ones can
     # be anywhere in it: the pixel's own bounds hold too.
     bars = mixed & between(shown >= _OPEN_PIXEL)
-    doubted = _enlarged(bars | is_sharp, factor)
+    doubted = _enlarged(bars | undecided | is_sharp, factor)
     out[1] = np.where(doubted, np.minimum(out[1], own[1]), out[1])  # low
     out[2] = np.where(doubted, np.maximum(out[2], own[2]), out[2])  # high
     return np.where(np.isnan(own), own, out)
