@@ -322,6 +322,23 @@ def test_a_direction_that_few_captures_show_is_not_sky() -> None:
 
 
 @pytest.mark.analytic
+def test_an_edge_of_sky_does_not_narrow_the_bounds_of_undecided_directions() -> None:
+    """Next to open sky: to the right captures left open what is seen, to the left is a wall."""
+    openness, full = np.zeros((12, 12), np.float32), np.ones((12, 12), np.float32)
+    openness[:, 4:8] = 1.0
+    grid = replace(GRID, step_deg=3.0, height=12, width=12)
+    undecided = np.zeros((12, 12), np.float32)
+    undecided[:, 8:] = 1.0
+    high = np.maximum(undecided, 1.0 * (np.arange(12) >= 3)).astype(np.float32)  # 3: an edge may be
+    view = SkyView(grid, openness, undecided / 12**0.5, full, full, 0 * full, high)
+    for column, highest in ((3.5, 0.0), (5.5, 1.0), (8.5, 1.0), (9.5, 1.0)):
+        light = _at(view, 6.5, column)
+        disc = disc_of_hours(view, light)
+        assert disc.high_lx / light.direct_lx == pytest.approx(highest), column
+        assert (disc.best_lx > 0.0) == (column == 5.5)
+
+
+@pytest.mark.analytic
 def test_a_slanted_bar_narrower_than_a_pixel_is_not_broken() -> None:
     """In pixels of 3 degrees: half a pixel wide, it rises by a pixel in three."""
     row, column = (np.mgrid[:288, :288] + 0.5) / 24.0
@@ -634,6 +651,8 @@ def test_few_captures_leave_open_what_many_decide() -> None:
     many, little = _view(pictures), _view(pictures, rows=few)
     assert np.median(many.high[6:26, 18:30]) == 0.0
     assert np.median(little.high[6:26, 18:30]) > 0.5
+    width = little.high - little.low
+    assert (little.u >= 0.28 * width)[6:26, 18:30].mean() > 0.95  # as of a uniform distribution
     assert "8 captures give a first look" in " ".join(little.notes)
     assert "first look" not in " ".join(many.notes)
 

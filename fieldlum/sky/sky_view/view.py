@@ -41,7 +41,9 @@ LENS_PIXEL_DEG = 1.0  # larger pixels are means of a lens's; chosen
 _OPEN_PIXEL = 0.95  # openness of a pixel that has no edge: known to 0.05; chosen
 # A lens blurs an edge over two pixels: less open is shut, and as much less than 1 is open. Chosen.
 _LENS_BLUR = 0.2
-UNIFORM_SDS = 12**0.5  # standard deviations in the width of a uniform distribution
+# Standard deviations in the width of a uniform distribution: of directions that captures leave
+# undecided; and the least width that counts. Chosen.
+UNIFORM_SDS, _MIN_WIDTH = 12**0.5, 0.02
 # Smoothed share of open sky from which a place counts as open in the maps best, low and high.
 # Chosen for the bounds.
 _DOUBT = (0.5, 0.75, 0.25)
@@ -213,8 +215,8 @@ class SkyView:
         maps = np.stack([self.through, self.low, self.high]).astype(np.float32)
         if factor > 1:
             # where captures left open whether the sky is seen, no edge narrows the bounds
-            width = self.high - self.low
-            undecided = (width > 0.0) & (self.u > 0.8 * width / UNIFORM_SDS)
+            undecided = self.openness < _OPEN_PIXEL
+            undecided &= self.u > 0.8 * np.fmax(self.high - self.low, _MIN_WIDTH) / UNIFORM_SDS
             maps = _fine_edges(maps, self.openness, undecided, factor)
         step_deg, (height, width) = self.grid.step_deg / factor, maps.shape[1:]
         return replace(self.grid, step_deg=step_deg, height=height, width=width), maps
@@ -266,9 +268,8 @@ def _fine_edges(maps: Floats32, openness: Floats32, undecided: Mask, factor: int
     """Return best, low and high [3, h, w] enlarged by `factor`, with sharp edges.
 
     maps [3, h, w], openness [h, w], undecided [h, w] (pixels that keep their bounds): at the view's
-    own resolution. The edges between sky and what is
-    in front of it are the shortest that give each pixel its openness. Slats and leaves keep the
-    mean of their pixel (`_texture`).
+    own resolution. The edges between sky and what is in front of it are the shortest that give each
+    pixel its openness. Slats and leaves keep the mean of their pixel (`_texture`).
     """
     shown, size = np.nan_to_num(openness), 3
     is_sharp = factor * _FINE_DEG <= LENS_PIXEL_DEG  # a lens's own pixels, not means of several
