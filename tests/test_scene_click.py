@@ -101,6 +101,18 @@ def test_clicks_without_noise_give_the_room_itself() -> None:
         assert found.misfit_px < 0.01 and not found.notes
 
 
+@pytest.mark.analytic
+def test_uncertainties_are_of_their_window_whatever_is_clicked_first() -> None:
+    """With window 2 clicked before window 1, their uncertainties were exchanged."""
+    rng = np.random.default_rng(3)
+    room, grid = _room(rng), ClickGrid(920, 1840, 0.0)
+    clicks = _clicks(room, grid, 0.0, rng)
+    in_order = room_from_clicks(clicks, grid, room.camera_z_m)
+    turned = room_from_clicks(clicks[::-1], grid, room.camera_z_m)
+    assert in_order.u["window.0.left_m"] != pytest.approx(in_order.u["window.1.left_m"], rel=0.1)
+    assert turned.u == pytest.approx(in_order.u, rel=1e-3)
+
+
 # Seeds of rooms and the height of the panorama that is clicked on.
 ROOMS = {"60": (range(1000, 1060), 920)}
 ROOMS["30 of them, twice the size"] = range(1000, 1030), 1840

@@ -70,8 +70,9 @@ def _check_civil_time(path: Path, times: Sequence[datetime], zone: ZoneInfo) -> 
     for t, step in zip(times, steps, strict=False):
         if step <= usual:
             continue
-        before, after = (moment.replace(tzinfo=zone).utcoffset() for moment in (t, t + step))
-        leap = (after or usual) - (before or usual)
+        moments = (moment.replace(tzinfo=zone) for moment in (t, t + step))
+        before, after = (moment.utcoffset() or timedelta() for moment in moments)
+        leap = after - before
         if leap > timedelta() and abs(step - usual - leap) < usual / 2:
             found = f"the clock leaps from {t:%Y-%m-%d %H:%M} to {t + step:%H:%M}"
             found += f", as at the beginning of summer time in {zone.key}"

@@ -380,7 +380,7 @@ def _fit(
         if distance > _MISFIT_PX
     ]
     walls: dict[int, Any] = {corner.place: corner.wall for _, corner in used if corner.wall}
-    names = [*_LENGTHS, *(f"window.{k}.{name}" for k in walls for name in _WINDOW_LENGTHS)]
+    names = [*_LENGTHS, *(f"window.{k}.{name}" for k in sorted(walls) for name in _WINDOW_LENGTHS)]
     room = _room(solution.x, walls, clicks, grid, camera_height_m)
     u_by_name = dict(zip(names, u.tolist(), strict=True))
     return ClickedRoom(room, u_by_name, float(np.sqrt((off**2).mean())), tuple(notes))
