@@ -28,7 +28,7 @@ def _search(room: Room, height: int = HEIGHT, pixels: int = 1500) -> SceneSearch
 def _one(kind: Kind, *obstruction: Obstruction) -> tuple[SceneSearch, Guess]:
     """Return a search of ROOM with obstructions, and its scene with elements of a kind."""
     search = _search(replace(ROOM, obstruction=obstruction))
-    search._accept(search._with_more((kind,)))
+    search.accept(search._with_more((kind,)))
     search._search_all()
     return search, search.guess
 

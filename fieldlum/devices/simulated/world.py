@@ -113,7 +113,7 @@ class Office:
     setup : its room if that is a box with windows, else `OFFICE`; its site; None: in Seattle.
     """
 
-    def __init__(self, setup: SiteFile | None, seed: int) -> None:
+    def __init__(self, setup: SiteFile | None = None, seed: int = 1) -> None:
         """Prepare the room; seed: of the clouds of each day."""
         self.setup = setup or SiteFile(SEATTLE, CameraSetup(), OFFICE)
         room = self.setup.room
