@@ -22,7 +22,7 @@ from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.model_files import ScoresFile
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import PredictFile
-from fieldlum.session.files.sidecar import Sidecar, warn_if_changed
+from fieldlum.session.files.sidecar import Sidecar, warn_if_picture_changed
 from fieldlum.session.panorama_sun import (
     SunRow,
     read_panorama_with_sun,
@@ -181,9 +181,9 @@ def test_a_panorama_that_decays_after_its_merge_is_reported(tmp_path: Path) -> N
     path.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
     assert not sidecar.fits(path) and Sidecar(path.stem).fits(path)
     with pytest.warns(ChangedFileWarning, match=r"changed after merge wrote it.*fieldlum merge"):
-        warn_if_changed(path)
+        warn_if_picture_changed(path)
     path.write_bytes(whole)
-    warn_if_changed(path)
+    warn_if_picture_changed(path)
 
 
 @pytest.mark.contract

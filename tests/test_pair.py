@@ -41,7 +41,7 @@ from fieldlum.session import DayFiles, Session, create_session
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PAIR_COLUMNS, PairRow, PairsFile, write_simulated_pairs
-from fieldlum.session.files.sidecar import warn_if_changed
+from fieldlum.session.files.sidecar import warn_if_picture_changed
 from fieldlum.session.panorama_sun import SunRow, read_panorama_with_sun
 from fieldlum.sky import sun
 from fieldlum.sky.sky_view.view import SkyView
@@ -333,9 +333,9 @@ def test_stage_writes_rows_suns_and_patches(tmp_path: Path, room: Room | None) -
         )
         shutil.copy(session.panorama_files()[0], session.root / rows[0]["sunpatch"])
         with pytest.warns(ChangedFileWarning, match="changed after pair wrote it.*fieldlum pair"):
-            warn_if_changed(session.root / rows[0]["sunpatch"], "pair")
+            warn_if_picture_changed(session.root / rows[0]["sunpatch"], "pair")
         pair.run(session)
-        warn_if_changed(session.root / rows[0]["sunpatch"], "pair")
+        warn_if_picture_changed(session.root / rows[0]["sunpatch"], "pair")
         sidecar = (session.root / rows[0]["sunpatch"]).with_suffix(".json")
         note = json.loads(sidecar.read_text())
         del note["sha256"]  # of an earlier version, or of somebody else

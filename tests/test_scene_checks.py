@@ -12,9 +12,9 @@ from scene_captures import ROOM, window_captures
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Site
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.room.fit.checks import check_captures
 from fieldlum.room.fit.misplaced_patches import misplacement_of
 from fieldlum.room.fit.stage import run
+from fieldlum.room.fit.turned_windows import check_captures
 
 HEIGHT = 32
 SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")

@@ -9,10 +9,10 @@ import pytest
 from test_scene_search import HEIGHT, ROOM, captures
 
 from fieldlum.core.records import Obstruction, Room
-from fieldlum.room.fit.elements import BARS, FURNITURE, KINDS, SHADES, Kind
 from fieldlum.room.fit.evidence import PIXELS, scene_evidence
 from fieldlum.room.fit.fit import SceneSearch
 from fieldlum.room.fit.guess import Guess, guess_of, is_outside, is_possible
+from fieldlum.room.fit.proposals import BARS, FURNITURE, KINDS, SHADES, Kind
 from fieldlum.room.fit.search import PRIOR_HOURS, PRIOR_SHARE, prior_unit
 
 HIDDEN_ELEVATION_DEG = 22.0

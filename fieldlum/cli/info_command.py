@@ -61,7 +61,7 @@ def describe(path: Path, part: str = "") -> Facts:
     one. Raises InputError if the file is missing, invalid or of an unknown kind.
     """
     from fieldlum.optics.profiles import camera_names, find_camera_profile
-    from fieldlum.session.codec import change_of
+    from fieldlum.session.codec import warn_if_changed
 
     if not path.exists() and str(path) in camera_names():
         path = find_camera_profile(str(path))
@@ -71,7 +71,7 @@ def describe(path: Path, part: str = "") -> Facts:
         near = did_you_mean(str(path), camera_names())
         raise InputError(path, "no such file or folder", remedy=f"check the path{near}")
     suffix = path.suffix.lower()
-    change_of(path)  # a warning if the file differs from its recorded checksum
+    warn_if_changed(path)  # a warning if the file differs from its recorded checksum
     if suffix == ".exr":
         return _exr(path, part)
     readers = {".hdr": _radiance, ".toml": _toml, ".csv": _csv, ".jpg": _jpeg, ".jpeg": _jpeg}

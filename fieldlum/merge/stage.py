@@ -26,7 +26,7 @@ from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.optics.raw import unreadable
 from fieldlum.session import Session
-from fieldlum.session.codec import change_of, current_note, digest, sealed, to_json, write_csv
+from fieldlum.session.codec import current_note, digest, sealed, to_json, warn_if_changed, write_csv
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.sidecar import MergeReport, Sidecar, SidecarSun, readable_sidecars
 from fieldlum.sky.sky_view.picture import write_sky_picture
@@ -322,7 +322,7 @@ def run(
     if summary_due(session):
         write_summary(session)
     elif session.quality.is_file():
-        change_of(session.quality)  # warns if somebody changed it
+        warn_if_changed(session.quality)  # warns if somebody changed it
     if all(v.state == "failed" for v in verdicts):
         count, first = counted(len(verdicts), "bracket"), verdicts[0]
         found = f"0 of {count} could be merged; {first.slot}: {first.text}"

@@ -20,8 +20,8 @@ from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.pair.bracket_irradiance import BracketIrradiance, irradiance_during
-from fieldlum.pair.sky_view import Shown, shares_of_beam, write_sky_view
 from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured, measured_sun
+from fieldlum.pair.write_sky_view import Shown, shares_of_beam, write_sky_view
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.view import patch_rays
 from fieldlum.session import Session, marks, remove_scraps, replacing_path, sha256
@@ -29,7 +29,7 @@ from fieldlum.session.codec import current_note, digest, write_object
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
-from fieldlum.session.files.sidecar import Sidecar, warn_if_changed
+from fieldlum.session.files.sidecar import Sidecar, warn_if_picture_changed
 from fieldlum.session.panorama_sun import SunRow, write_suns
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
@@ -275,7 +275,7 @@ def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: flo
     full_normal_lx: illuminance of the unhidden disc, on a plane normal to it; altitude_deg:
     apparent altitude of the sun.
     """
-    warn_if_changed(bracket.panorama)
+    warn_if_picture_changed(bracket.panorama)
     try:
         panorama = read_panorama(bracket.panorama)
     except FieldlumError as error:

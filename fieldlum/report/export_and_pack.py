@@ -33,7 +33,7 @@ from fieldlum.room.scene.box_room import build
 from fieldlum.room.scene.radiance import rad_text
 from fieldlum.room.scene.write_honeybee import MODEL_NAME, honeybee_model
 from fieldlum.session import Session, replacing_path, write_file
-from fieldlum.session.codec import change_of, write_csv, write_object
+from fieldlum.session.codec import warn_if_changed, write_csv, write_object
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sky_view.view import SkyView
@@ -231,7 +231,7 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
             add(name, text.encode())
         for number, path in enumerate(files):
             progress(number, len(files), "files")
-            change_of(path)  # the archive has no checksum files, but its own manifest
+            warn_if_changed(path)  # the archive has no checksum files, but its own manifest
             add(path.relative_to(session.root).as_posix(), read_bytes(path))
         manifest = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests))
         archive.writestr(f"{top}/MANIFEST.sha256", manifest)

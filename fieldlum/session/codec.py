@@ -59,7 +59,7 @@ def sealed(path: Path) -> Iterator[None]:
         file.write(f"{sha256(path)}  {path.name}\n")
 
 
-def change_of(path: Path) -> str:
+def warn_if_changed(path: Path) -> str:
     """Return a sentence, and warn with it, if a file changed after fieldlum wrote it; else "".
 
     It did if its SHA-256 is not that of its checksum file NAME.sha256; a file without one counts as
@@ -108,7 +108,7 @@ def current_note(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> Js
     if not is_same or not all(path.is_file() for path in paths):
         return None
     for path in (note, *paths):
-        change_of(path)
+        warn_if_changed(path)
     return table
 
 
@@ -214,7 +214,7 @@ def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
         table = json.loads(read_bytes(path))
     if not isinstance(table, dict):
         raise InputError(path, f"JSON of type {type(table).__name__}", expected, remedy)
-    change_of(path)
+    warn_if_changed(path)
     return table
 
 
@@ -276,7 +276,7 @@ def read_columns(path: Path, expected: str, remedy: str) -> dict[str, Array]:
         table = pd.read_csv(StringIO(text), keep_default_na=False, na_values=[""])
         when = pd.to_datetime(table["t_utc"], format="ISO8601", utc=True)
         table["t_utc"] = when.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
-    change_of(path)
+    warn_if_changed(path)
     return {str(name): table[name].to_numpy() for name in table}
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from fieldlum.core.records import CLIPPED_SUN, Panorama, SunSource
 from fieldlum.core.strict_csv import read_table
 from fieldlum.optics.images import read_panorama
-from fieldlum.session.codec import change_of, check_format, read_row, sealed, write_csv
-from fieldlum.session.files.sidecar import warn_if_changed
+from fieldlum.session.codec import check_format, read_row, sealed, warn_if_changed, write_csv
+from fieldlum.session.files.sidecar import warn_if_picture_changed
 
 FORMAT = 1  # of suns.csv; docs/file-formats.md
 
@@ -70,7 +70,7 @@ def read_suns(path: Path) -> dict[str, SunRow]:
         return {}
     remedy = "run fieldlum pair again"
     table = read_table(path, "a suns.csv written by pair", remedy)
-    change_of(path)
+    warn_if_changed(path)
     rows = [read_row(SunRow, f"{path}: line {n}", cells, remedy) for n, cells in table.dicts()]
     check_format(path, max((row.format for row in rows), default=FORMAT), FORMAT)
     return {row.panorama: row for row in rows}
@@ -87,7 +87,7 @@ def read_panorama_with_sun(
     bound, because every frame is clipped there, `attributes["note"]` reports it. Raises InputError
     for a picture or table that cannot be used.
     """
-    warn_if_changed(path)
+    warn_if_picture_changed(path)
     panorama = read_panorama(path, part)
     sun = panorama.sun
     if sun is None or sun.origin in MEASURED_ORIGINS:

@@ -20,13 +20,13 @@ from fieldlum.learn.models.camera_turns import align, camera_turns, shown_place,
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.images import PANORAMA_LINE, read_panorama
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
-from fieldlum.pair.sky_view import is_outdated
+from fieldlum.pair.write_sky_view import is_outdated
 from fieldlum.room.scene.patches import sun_patches
 from fieldlum.session import Session, marks, open_session
 from fieldlum.session.codec import data_digest
 from fieldlum.session.files.model_files import UsedScene
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
-from fieldlum.session.files.sidecar import warn_if_changed
+from fieldlum.session.files.sidecar import warn_if_picture_changed
 from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
 from fieldlum.session.site_toml import load_site, site_table
 from fieldlum.sky import sun
@@ -482,7 +482,7 @@ def read_pictures(
         disc_lx[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if patches is not None:
             source = path.parent / row.sunpatch
-            warn_if_changed(source, "pair")
+            warn_if_picture_changed(source, "pair")
             patch = _checked(read_panorama(source), source, size_and_heading, setup)
             patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
             if patch.sun and not panorama.sun and not row.sun_in_map:

@@ -16,7 +16,6 @@ from threadpoolctl import threadpool_limits
 from fieldlum.core.arrays import Floats
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
-from fieldlum.room.fit.elements import KINDS, Kind
 from fieldlum.room.fit.evidence import PIXELS, SceneEvidence, scene_evidence
 from fieldlum.room.fit.guess import Guess, guess_of, room_of
 from fieldlum.room.fit.parameters import (
@@ -26,6 +25,7 @@ from fieldlum.room.fit.parameters import (
     room_parameters,
     stated_albedo,
 )
+from fieldlum.room.fit.proposals import KINDS, Kind
 from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.fit.search import STEP_SHARES, SceneCost, covariance, prior_unit, search
 from fieldlum.room.fit.sunny_hours import MIN_SUNNY_HOURS

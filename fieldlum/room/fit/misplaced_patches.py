@@ -14,11 +14,11 @@ from fieldlum.core.progress import progress
 from fieldlum.core.records import SiteFile
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.room.fit.checks import turned_windows_note
 from fieldlum.room.fit.evidence import COARSE_PIXELS
 from fieldlum.room.fit.fit import SceneSearch
 from fieldlum.room.fit.parameters import room_parameters
 from fieldlum.room.fit.search import STEP_SHARES, covariance, search
+from fieldlum.room.fit.turned_windows import turned_windows_note
 from fieldlum.room.scene.box_room import is_box_with_window
 
 MIN_HOURS = 3  # sunny captures that a test needs; chosen

@@ -10,13 +10,13 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.room.fit.checks import check_captures
 from fieldlum.room.fit.draw_scene import draw
 from fieldlum.room.fit.fit import fit_scene
 from fieldlum.room.fit.parameters import CLOCK_SD_MIN
 from fieldlum.room.fit.pose_prior import pose_note, pose_of, prior_of
 from fieldlum.room.fit.scene_file import Chosen, Scene, write_scene
 from fieldlum.room.fit.sunny_hours import sunny_hours
+from fieldlum.room.fit.turned_windows import check_captures
 from fieldlum.session import Session, check_writable
 from fieldlum.sky.sky_view.measured_discs import read_discs
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import parse_utc
 from fieldlum.core.strict_csv import IRRADIANCE_LIMITS_WM2, read_table
-from fieldlum.session.codec import change_of, check_format, read_row, sealed, write_csv
+from fieldlum.session.codec import check_format, read_row, sealed, warn_if_changed, write_csv
 from fieldlum.session.folder import Session
 from fieldlum.session.safe_paths import refuse_link, refuse_outside
 
@@ -91,7 +91,7 @@ class PairsFile:
         _refuse_foreign_pictures(path, rows)
         unknown = [name for name in table.names if name and name not in _KNOWN]
         warnings = [f"{path.name}: unknown column {name} is ignored" for name in unknown]
-        if change := change_of(path):
+        if change := warn_if_changed(path):
             warnings.append(f"WARNING: {change}")
         return cls(path, tuple(rows), tuple(warnings))
 

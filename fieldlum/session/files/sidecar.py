@@ -218,7 +218,7 @@ class Sidecar(JsonFile, frozen=True):
         return {"slot": path.stem, **table, "quality": report}
 
 
-def warn_if_changed(picture: Path, stage: str = "merge") -> None:
+def warn_if_picture_changed(picture: Path, stage: str = "merge") -> None:
     """Warn with ChangedFileWarning if a picture changed after its stage wrote it.
 
     It did if its SHA-256 is not that of its sidecar; a picture without one counts as unchanged.

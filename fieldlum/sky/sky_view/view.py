@@ -24,7 +24,7 @@ from fieldlum.core.files import replacing_path
 from fieldlum.core.records import JsonTable
 from fieldlum.core.room_states import cover_state
 from fieldlum.optics.images import exr_headers, opened_exr
-from fieldlum.session.codec import change_of, sealed
+from fieldlum.session.codec import sealed, warn_if_changed
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.picture import SkyGrid
 from fieldlum.sky.sky_view.pose import CameraPose
@@ -170,7 +170,7 @@ class SkyView:
         """
         if not path.is_file():
             raise InputError(path, "no such file", _EXPECTED, _REMEDY)
-        change_of(path)
+        warn_if_changed(path)
         try:
             about, views = _content(path)
             if about["format"] > FORMAT:

@@ -18,7 +18,7 @@ from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Panorama, SunSource
 from fieldlum.core.strict_csv import read_table
 from fieldlum.optics.melanopic import U_SUN_RATIO, melanopic_edi, melanopic_ratio, ratio_u_rel
 from fieldlum.optics.projection import direction
-from fieldlum.session.codec import change_of, write_csv
+from fieldlum.session.codec import warn_if_changed, write_csv
 from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 from fieldlum.sky.sky_view.pose import STATED_SD
 from fieldlum.sky.sky_view.view import SkyView
@@ -307,7 +307,7 @@ def read_budgets(path: Path) -> list[dict[str, str]]:
         return []
     expected, remedy = "an uncertainty budget", "predict the year again: fieldlum predict"
     rows = [row for _, row in read_table(path, expected, remedy, needed=COLUMNS).dicts()]
-    change_of(path)
+    warn_if_changed(path)
     with input_errors(path, expected, remedy, ValueError):
         [float(row["azimuth_deg"]) for row in rows]
         [float(row[name] or 0) for row in rows for name in ("contribution", "share_percent")]
