@@ -54,7 +54,7 @@ def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
 
 
 def _parse_spec(text: str) -> Spec:
-    """Return the model that one text names, as for `parse_specs`."""
+    """Return the model that a text such as transport:none, or the path of a folder, names."""
     name, _, patch = text.partition(":")
     if name in MODELS and patch in ("", *get_args(Patch)):
         return Spec(text, name, cast(Patch, patch or "absolute"))

@@ -88,9 +88,11 @@ def fit_and_choose(
 ) -> tuple[Model, Parameters, OrderSelection]:
     """Return the model that held-out data choose, its parameters by all data, and the choice.
 
-    models : each with its name and size, as in `choose`. groups [n] : as in `folds`. solve : fits a
-    model to the data of a mask. errors : squared errors of the data of a mask by a model's
-    parameters, NaN for a datum that cannot be predicted. what, unit, negligible : as in `choose`.
+    models : for each its name, its size (number of free parameters) and the model. groups [n] :
+    number of the group of each datum; a group is held out as one. solve : fits a model to the data
+    of a mask. errors : squared errors of the data of a mask by a model's parameters, NaN for a
+    datum that cannot be predicted. what : name of the fit; unit : of the root of the errors, "%" of
+    a share. negligible : a model whose rms is larger by at most this counts as equal to the best.
     """
     candidates = []
     for name, size, model in models:

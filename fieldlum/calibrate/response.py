@@ -355,7 +355,8 @@ def place_variances(
 def _off_mean(table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int) -> Floats:
     """Return ln(z / exposure) of each frame minus its mean over the frames, [places, frames].
 
-    NaN for codes and places that do not count. Arguments as in `place_variances`.
+    It is NaN for codes that are not from `low` to 228. table [256] : linear light z of each code;
+    codes [places, frames] : those of one colour; log_e [frames] : ln of exposure.
     """
     counts = (codes >= low) & (codes <= HIGH)
     counts &= counts.sum(axis=1, keepdims=True) >= 2

@@ -157,7 +157,10 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
 
 
 def _blocks(mosaic: Mosaic, profile: CameraProfile) -> Floats:
-    """Return share and weight of a frame's blocks, as in `Levels`, [2, blocks]."""
+    """Return mean counts over full scale of a frame's blocks, and their weights, [2, blocks].
+
+    The mean is NaN where a block is saturated or dark. A weight is 1 / (relative uncertainty)^2.
+    """
     parts = []
     levels = zip(black_dn(mosaic, profile), full_dn(mosaic, profile), strict=True)
     for (row, column), (black, top) in zip(channel_positions(mosaic.cfa), levels, strict=True):

@@ -63,12 +63,13 @@ class StrayFit(NamedTuple):
 
 
 def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
-    """Read a csv of places that are dark in reality: panorama, azimuth_deg, altitude_deg.
+    """Return the stray light [cd/m2] at the dark places of a csv, and the light that may cause it.
 
-    Optional columns: luminance_cdm2, the true luminance of the place (default 0), and radius_deg of
-    the averaged disc (default 0.5). Azimuth is clockwise from north. Raises InputError for an
-    invalid line, for a place that is clipped, outside the lens or not brighter than in reality, and
-    for a picture that was merged with another calibration or with a stray-light kernel.
+    Columns: panorama, the path of a picture; azimuth_deg, clockwise from north, and altitude_deg of
+    a place that is dark in reality. Optional: luminance_cdm2, the true luminance of the place
+    (default 0), and radius_deg of the averaged disc (default 0.5). Raises InputError for an invalid
+    line, for a place that is clipped, outside the lens or not brighter than in reality, and for a
+    picture that was merged with another calibration or with a stray-light kernel.
     """
     optional = {"luminance_cdm2": 0.0, "radius_deg": fit_steps.SPOT_DEG}
     rows = fit_steps.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
@@ -172,7 +173,8 @@ def total_share(nodes_deg: Sequence[float], values_per_sr: Floats) -> float:
     """Return the share of a source's light that the kernel K spreads over the sphere.
 
     nodes_deg, values_per_sr : [n], ascending angles above 0 [deg] and K there [1/sr], interpolated
-    as by `kernel_per_sr`. The share is 0 to 1 for a physical kernel; it is not clipped.
+    linearly in ln(angle), constant outside. The share is 0 to 1 for a physical kernel; it is not
+    clipped.
     """
     angle = (np.arange(3600) + 0.5) / 3600 * np.pi
     kernel = kernel_per_sr(angle, np.asarray(nodes_deg), np.asarray(values_per_sr))

@@ -45,17 +45,20 @@ class Finding:
 
 
 def ok(what: str, text: str) -> Finding:
-    """Return a finding without a fault; what, text: as in `Finding`."""
+    """Return a finding without a fault; what: subject of the check; text: a sentence."""
     return Finding(what, "ok", text)
 
 
 def warn(what: str, text: str) -> Finding:
-    """Return a warning; what, text: as in `Finding`."""
+    """Return a warning; what: subject of the check; text: a sentence with the remedy."""
     return Finding(what, "warn", text)
 
 
 def fail(what: str, text: str, exit_code: int = 4) -> Finding:
-    """Return a failure; what, text, exit_code: as in `Finding`."""
+    """Return a failure; what: subject of the check; text: a sentence with the remedy.
+
+    exit_code: of the command: 4 for devices and this computer, 3 for files.
+    """
     return Finding(what, "fail", text, exit_code)
 
 
@@ -97,8 +100,8 @@ def run(
 ) -> list[Finding]:
     """Run checks and return their findings; a check that raises an error gives a failure.
 
-    camera_uri, pyranometer_uri, meter_uri: as for the openers of `fieldlum.devices`; "" means that
-    the device is not used. only: names of the checks to run, None for all.
+    camera_uri, pyranometer_uri, meter_uri: addresses such as gphoto: or serial:/dev/ttyUSB0; ""
+    means that the device is not used. only: names of the checks to run, None for all.
     """
     checks: dict[str, Callable[[], Iterable[Finding]]] = {
         "plan": lambda: check_plan(session, now_utc),

@@ -211,9 +211,9 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
     """Return the offset, corrected by the brackets' median delay if their delays agree.
 
     Brackets that all start equally early or late were started by a timer, so that their delay is an
-    error of the camera's clock. groups, slots: as for `find_offset`. Only brackets within 20
-    minutes of a slot count. The offset is returned unchanged if these are fewer than three, if
-    their median delay is under 1 s, or if the median deviation from it is over 5 s.
+    error of the camera's clock. groups: the card's brackets; slots: of the plan. Only brackets
+    within 20 minutes of a slot count. The offset is returned unchanged if these are fewer than
+    three, if their median delay is under 1 s, or if the median deviation from it is over 5 s.
     """
     all_s = delays_s(groups, slots, offset.seconds)
     near_s = all_s[np.abs(all_s) <= MAX_DELAY_S]

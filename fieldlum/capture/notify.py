@@ -151,9 +151,9 @@ def read_targets(option: str, *, name: str = "--notify") -> tuple[str, ...]:
 def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post:
     """Return a function that sends one message to all targets, and returns whether all succeeded.
 
-    targets: addresses as of `read_targets`; source: file or option that states them, for errors.
-    Raises InputError for a target that apprise does not understand; the error has its number, but
-    not its text, which may contain a password.
+    targets: apprise addresses, such as mailto://...; source: file or option that states them, for
+    errors. Raises InputError for a target that apprise does not understand; the error has its
+    number, but not its text, which may contain a password.
     """
     logging.getLogger("apprise").setLevel(logging.CRITICAL)  # its log lines contain addresses
     with warnings.catch_warnings():  # one of its services imports a deprecated module

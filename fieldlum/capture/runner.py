@@ -127,10 +127,11 @@ def run(
 ) -> SlotStates:
     """Take the bracket of each slot until every slot has an outcome; return the slots' states.
 
-    camera_uri, pyranometer_uri, meter_uri: as for the openers of `fieldlum.devices`; the last two
-    "" for none. `watch` is called with the state of the capture, `listen` with each journal event;
-    both must return at once. checks: of new frames. trusted: returns whether a time server controls
-    the clock, None if unknown. `open_cam`, `open_pyr` and `open_met` replace what the URIs open.
+    camera_uri, pyranometer_uri, meter_uri: addresses such as gphoto: or serial:/dev/ttyUSB0; the
+    last two "" for none. `watch` is called with the state of the capture, `listen` with each
+    journal event; both must return at once. checks: of new frames. trusted: returns whether a time
+    server controls the clock, None if unknown. `open_cam`, `open_pyr` and `open_met` replace what
+    the URIs open.
 
     Raises DeviceError if the camera cannot be set to a planned exposure, or the clock is before the
     last journal entry; the error of opening a device at the start, unless it is an instrument that

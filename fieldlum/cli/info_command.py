@@ -71,7 +71,7 @@ def describe(path: Path, part: str = "") -> Facts:
         near = did_you_mean(str(path), camera_names())
         raise InputError(path, "no such file or folder", remedy=f"check the path{near}")
     suffix = path.suffix.lower()
-    warn_if_changed(path)  # a warning if the file differs from its recorded checksum
+    warn_if_changed(path)
     if suffix == ".exr":
         return _exr(path, part)
     readers = {".hdr": _radiance, ".toml": _toml, ".csv": _csv, ".jpg": _jpeg, ".jpeg": _jpeg}

@@ -96,7 +96,7 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
     """Yield a file that gets the name `path` only when it is complete.
 
     The file has a temporary name in the same folder, is flushed to disk, and is then renamed. After
-    an exception in the `with` block it is removed instead. mode, kwargs: as for `open`.
+    an exception in the `with` block it is removed instead. mode, kwargs: arguments of `open`.
     """
     with replacing_path(path) as temporary, temporary.open(mode, **kwargs) as file:
         yield file

@@ -176,7 +176,10 @@ def parse_table(
     """Return the content of a TOA5 or csv table, in its order, also if few rows can be read.
 
     text: content of the file; path: for errors; utc_offset: None if the times state a zone.
-    columns, sensitivities and errors: as for `read_logger_file`.
+    columns: name or number of the column of some quantities (ghi_wm2 ...); sensitivities: of
+    pyranometers whose column is a voltage, uV per W/m2. Raises InputError for a column that does
+    not exist, is ambiguous or has another unit, for times without a zone and without utc_offset,
+    and for dates whose day and month cannot be distinguished.
     """
     table = _toa5(path, text) if text.startswith(('"TOA5",', "TOA5,")) else _csv(path, text)
     return _read(path, table, utc_offset, columns, sensitivities)

@@ -359,8 +359,9 @@ class ModbusPyranometer(Pyranometer):
 def _connected(place: str, line: SerialLine, timeout_s: float) -> tuple[Any, str]:
     """Return pymodbus's client of a bus, and the name of the bus: its port, or tcp=HOST:PORT.
 
-    place: as in the URI; line: settings of a serial port; timeout_s: longest wait for an answer.
-    The client sends each request once. Raises DeviceError if there is no connection.
+    place: tcp=HOST or tcp=HOST:PORT, a device file, or usb=VID:PID; line: settings of a serial
+    port; timeout_s: longest wait for an answer. The client sends each request once. Raises
+    DeviceError if there is no connection.
     """
     from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 

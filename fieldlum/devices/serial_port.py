@@ -84,7 +84,11 @@ class SerialPort:
     """
 
     def __init__(self, place: str, line: SerialLine, *, timeout_s: float) -> None:
-        """Open a port; place: as for `resolve`; timeout_s: longest wait of a read or write."""
+        """Open a port.
+
+        place: device file, or usb=VID:PID or usb=VID:PID:SERIAL; timeout_s: longest wait of a read
+        or write.
+        """
         import serial
 
         self.name = resolve(place)

@@ -367,8 +367,9 @@ def files_to_picture(
 
     The illuminance is a dict with the key vertical_illuminance_lx: at the camera, on a plane that
     faces the picture's centre. Exposures come from the EXIF; the sun's disc is not searched for.
-    options, heading_deg: as for `merge_shots`. Raises InputError for a frame that cannot be merged,
-    or if `out` ends neither in .exr nor in .hdr.
+    options: None for the defaults. heading_deg: azimuth of the picture's centre, clockwise from
+    true north. Raises InputError for a frame that cannot be merged, or if `out` ends neither in
+    .exr nor in .hdr.
     """
     if out.suffix.lower() not in PICTURE_SUFFIXES:  # before the merge, not after it
         raise InputError(out, f"the suffix '{out.suffix}'", ".exr or .hdr", "correct --out")

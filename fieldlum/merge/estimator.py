@@ -63,8 +63,9 @@ def merge_signals(
 ) -> Merged:
     """Return the merged pixels of frames that all have one `shape`, most exposed first.
 
-    passes, u_ratio: as for `merge_pixels`. The frames are merged in strips of rows, each of which
-    goes through all passes while it is in a core's cache.
+    passes: number of weighted passes. u_ratio: relative disagreement of frames that does not count
+    as motion. The frames are merged in strips of rows, each of which goes through all passes while
+    it is in a core's cache.
     """
     value, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
     flags = np.empty(shape, np.uint8)

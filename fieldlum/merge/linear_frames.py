@@ -299,7 +299,11 @@ class JpegSignal:
 
     @cached_property
     def _limits(self) -> tuple[Floats32, Floats32, Floats32]:
-        """Lowest and highest z that are used, and z of code 250, [w, 3] each."""
+        """Lowest and highest light z that is used, and z of code 250, [w, 3] each.
+
+        z is linear light, 1 at full scale, of w columns and 3 colours. Above code 250 a pixel
+        counts as saturated.
+        """
         low = np.full(3, -1.0, np.float32) if self.dark_end else self.z_of_code[self.low_code]
         high, top = self.z_of_code[self._top], self.z_of_code[_TOP_CODE]
         return self._rows(low), self._rows(high), self._rows(top)

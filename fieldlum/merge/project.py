@@ -59,8 +59,9 @@ class _Samples(NamedTuple):
     """Directions within some target pixels that the sensor sees inside the lens, [n] each.
 
     pixel: number of the target pixel, from the first of these rows; x, y: place on the sensor [px];
-    share: of the solid angle of that pixel's samples. coverage, angle_rad [pixels]: of each target
-    pixel, as in `Resampler`.
+    share: of the solid angle of that pixel's samples. coverage [pixels]: share of the solid angle
+    of each target pixel that is on the sensor inside the lens; angle_rad [pixels]: mean angle of
+    that part from the optical axis.
     """
 
     pixel: Indices
@@ -79,12 +80,13 @@ def _samples(
     sub: int,
     margin_px: float,
 ) -> _Samples:
-    """Return the samples of some rows of the target.
+    """Return the points in the pixels of some target rows that the sensor sees, with their weights.
 
-    sensor_shape: its rows and columns; rows: the first one, and the one after the last; sub:
-    samples down a pixel (near the poles meridians converge, and fewer across suffice). margin_px:
-    distance from the circle and from the sensor's edge that keeps all four neighbours of a sample
-    inside.
+    A target pixel becomes the weighted mean of the sensor at its n points, which are on a grid of
+    `sub` rows in each pixel. sensor_shape: rows and columns of the sensor; rows: the first one of
+    the target, and the one after the last; sub: samples down a pixel (near the poles meridians
+    converge, and fewer across suffice). margin_px: distance from the circle and from the sensor's
+    edge that keeps all four neighbours of a sample inside.
     """
     (first, last), width, across = rows, target.shape[1], sub
     # Samples along an edge are a multiple of the edge's cells, which are at most half a degree

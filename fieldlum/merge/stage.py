@@ -322,7 +322,7 @@ def run(
     if summary_due(session):
         write_summary(session)
     elif session.quality.is_file():
-        warn_if_changed(session.quality)  # warns if somebody changed it
+        warn_if_changed(session.quality)
     if all(v.state == "failed" for v in verdicts):
         count, first = counted(len(verdicts), "bracket"), verdicts[0]
         found = f"0 of {count} could be merged; {first.slot}: {first.text}"

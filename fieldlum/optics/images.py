@@ -448,8 +448,9 @@ NO_UNIT = "the EXR states no unit (no whiteLuminance): its values are taken as c
 def read_panorama(path: Path, part: str = "") -> Panorama:
     """Read a panorama: an .exr or a Radiance .hdr that is twice as wide as high.
 
-    part: of an .exr, as for `read_exr`. A file without a heading gets 180 (south). The file's view
-    is not checked. Raises InputError for a missing or broken file, and for other shapes.
+    part: name of the part, layer or stereo view of an .exr; "" for the only one. A file without a
+    heading gets 180 (south). The file's view is not checked. Raises InputError for a missing or
+    broken file, and for other shapes.
     """
     is_exr = path.suffix.lower() == ".exr"
     panorama = (read_exr(path, part) if is_exr else read_radiance_hdr(path))[0]

@@ -364,7 +364,7 @@ def uncalibrated_text(profile: CameraProfile) -> str:
 
     Without a date of calibration no part is calibrated: `calibrate` sets the date with the first
     part that it fits. With a date, a part is not calibrated while its uncertainty is over
-    `_U_NOT_CALIBRATED`, as in a profile to start with.
+    `_U_NOT_CALIBRATED`.
     """
     vignetting = max((v.u_rel for lens in profile.lens for v in lens.vignetting), default=0.0)
     parts = {"scale": profile.scale.u_rel, "colour": profile.colour.u_rel, "vignetting": vignetting}

@@ -39,9 +39,9 @@ def stray_cdm2(
     """Return the stray light at each pixel [n], in cd/m2, from the recorded luminances.
 
     luminance_cdm2, solid_angle_sr: [n], 0 where the lens sees nothing; rays: [n, 3], unit;
-    nodes_deg, values_per_sr: [k], the kernel K as in `kernel_per_sr`. The recorded light is used in
-    place of the true light: an error of second order in K, which the fit of K makes in the same
-    way.
+    nodes_deg, values_per_sr: [k], ascending angles above 0 and the kernel K there. The recorded
+    light is used in place of the true light: an error of second order in K, which the fit of K
+    makes in the same way.
     """
     from scipy.ndimage import map_coordinates
 

@@ -47,9 +47,10 @@ def completed_sun(
 ) -> tuple[SunSource, str]:
     """Return a sun that was not measured, with its illuminance by DNI, and a caution or "".
 
-    full_normal_lx: as for `measured_sun`. share: of the beam that arrives at the lens, 0 to 1; NaN
-    if unknown. origin: source of the share, for `SunSource.origin`. If DNI gives less than the
-    clipped picture shows, the sun is returned unchanged.
+    full_normal_lx: DNI times its luminous efficacy, before the glass. share: of the beam that
+    arrives at the lens, 0 to 1; NaN if unknown. origin: source of the share, for
+    `SunSource.origin`. If DNI gives less than the clipped picture shows, the sun is returned
+    unchanged.
     """
     unknown = math.isnan(share)
     expected_lx = full_normal_lx * (1.0 if unknown else share)

@@ -225,8 +225,8 @@ def run(
 ) -> tuple[Session, Plan]:
     """Write the plan that `request` describes into a new session folder; return session and plan.
 
-    out: the folder; weather: as for `make_plan`. Raises the errors of `make_plan` and
-    `create_session`.
+    out: the folder; weather: a weather year of the site, for the coverage of its daylight and for
+    the set best. Raises the errors of `make_plan` and `create_session`.
     """
     plan = make_plan(setup, request, weather)
     return create_session(out, setup, plan.slots, plan.about(request)), plan
@@ -312,7 +312,7 @@ def summary(session: Session, plan: Plan) -> JsonTable:
     local time on the first day, which reveals a longitude with a wrong sign, "" if unknown; frames,
     megabytes: of all slots, at every heading; seconds_per_slot; size_is_known: whether SITE.toml
     names the camera profile; tags: number of slots with each tag; coverage: fields of `Coverage`;
-    warnings: as in `Plan`.
+    warnings: sentences for the user.
     """
     slots, setup = plan.slots, session.site_file()
     site, headings = setup.site, max(len(setup.camera.headings), 1)

@@ -88,8 +88,8 @@ def _event_dates(
 ) -> list[date]:
     """Return the local standard date of each equinox or solstice, in order of time.
 
-    seasons: as for `season_date`. They are those of `year`; if it is None, the next of which even
-    the day that is `margin` days before is not before `earliest`.
+    seasons: 0 March equinox, 1 June solstice, 2 September equinox, 3 December solstice. The dates
+    are those of `year`; if it is None, the first that are at least `margin` days after `earliest`.
     """
     years = range(earliest.year, earliest.year + 3) if year is None else (year,)
     first = earliest + timedelta(days=margin) if year is None else date.min

@@ -95,11 +95,11 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
     added, the earlier plan is stored as plan.N.csv, with N its revision (0 for the first).
 
     The keys are those of `--json`. missed: number of slots before now_utc that were captured
-    neither themselves nor by a make-up; made_up: pairs added now, as by `make_up`; lost: ids of
-    missed slots that no hour of the coming year can repeat; already: number with a make-up that is
-    still to come; recovered: number whose make-up was captured; sun_band_percent: covered part of
-    the sun band, "planned", "without" the missed slots, and "with" the make-ups; revision: of the
-    plan, 0 for the first.
+    neither themselves nor by a make-up; made_up: make-ups added now, each with the ids missed and
+    slot, and sun_off_deg, the angle between the two suns; lost: ids of missed slots that no hour of
+    the coming year can repeat; already: number with a make-up that is still to come; recovered:
+    number whose make-up was captured; sun_band_percent: covered part of the sun band, "planned",
+    "without" the missed slots, and "with" the make-ups; revision: of the plan, 0 for the first.
     """
     now_utc = now_utc.astimezone(UTC)
     about = _complete_interrupted_replan(session)

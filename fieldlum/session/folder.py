@@ -123,7 +123,8 @@ class _Place:
 class _SlotPlace:
     """A file of each slot; as an attribute of `Session` it is a function from slot id to path.
 
-    parts: as for `_Place`, with `{}` for the slot's id.
+    parts: names of the folders on the way, and of the file, below the session's folder, with `{}`
+    for the slot's id.
     """
 
     def __init__(self, *parts: str) -> None:

@@ -86,7 +86,7 @@ class Journal:
     def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
         """Append an event of a kind; with `flush` it is on the disk when this returns.
 
-        fields: the other keys of its line, as in `JournalEvent`. Raises OSError on a full disk,
+        fields: the other keys of its line, such as slot or why. Raises OSError on a full disk,
         after removing a partly written line.
         """
         data = files.encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})

@@ -36,8 +36,10 @@ class SunRow:
     """The sun of one panorama.
 
     panorama: path relative to the csv. altitude_deg: apparent; azimuth_deg: clockwise from true
-    north; normal_illuminance_lx, visible_fraction, origin: as in `SunSource`. bound_lx: illuminance
-    that the panorama's own file records; if the file records another one now, the row is not used.
+    north; normal_illuminance_lx: of the visible part of the disc, on a plane normal to the sun;
+    visible_fraction: of its area, 0 to 1; origin: source of the illuminance, such as meter.
+    bound_lx: illuminance that the panorama's own file records; if the file records another one now,
+    the row is not used.
     """
 
     panorama: str
@@ -82,10 +84,10 @@ def read_panorama_with_sun(
     """Return the panorama in a file, with the sun that `pair` computed for it.
 
     suns: result of `suns_of`, for a caller that reads many pictures of one session; None: read
-    suns.csv from the folder above the picture's. part: of an .exr, as for `read_exr`. The computed
-    sun replaces only one whose illuminance the picture did not measure. If the sun remains a lower
-    bound, because every frame is clipped there, `attributes["note"]` reports it. Raises InputError
-    for a picture or table that cannot be used.
+    suns.csv from the folder above the picture's. part: name of the part, layer or stereo view of an
+    .exr; "" for the only one. The computed sun replaces only one whose illuminance the picture did
+    not measure. If the sun remains a lower bound, because every frame is clipped there,
+    `attributes["note"]` reports it. Raises InputError for a picture or table that cannot be used.
     """
     warn_if_picture_changed(path)
     panorama = read_panorama(path, part)
@@ -111,6 +113,8 @@ def read_panorama_with_sun(
 def suns_of(panorama: Path) -> dict[str, SunRow]:
     """Return the rows of the suns.csv of a panorama's session, by panorama.
 
-    panorama: a file; suns.csv is in the folder above its folder. Keys and errors: as `read_suns`.
+    panorama: a file; suns.csv is in the folder above its folder. Keys are paths such as
+    "panoramas/20270320T193000Z.exr"; it is empty without a file. Raises InputError for other
+    content.
     """
     return read_suns(panorama.absolute().parent.parent / "suns.csv")

@@ -135,7 +135,7 @@ def brightest_surface_cdm2(dni_wm2: float) -> float:
     """Return the luminance [cd/m2] that surfaces and the sky away from the sun never exceed.
 
     dni_wm2 : direct normal irradiance. It is three times the luminance of a white surface in that
-    sun, as in `BRIGHTEST_SURFACE_CDM2`, but at least that of a bright overcast sky.
+    sun, which only clouds near the sun approach, but at least that of a bright overcast sky.
     """
     return max(3.0 * _LUMENS_PER_WATT * dni_wm2 / np.pi, _BRIGHTEST_SKY_CDM2)
 

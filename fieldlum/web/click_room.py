@@ -66,7 +66,8 @@ def clicked_table(clicked: ClickedRoom) -> JsonTable:
 
     rows: {"name", "value", "u"} for each clicked length [m] and angle [deg], u: its standard
     uncertainty; those of windows are named window.NUMBER.left_m, from 0; faces: compass direction
-    of the south wall; walls: the wall of each window; misfit_px, notes: as in `ClickedRoom`.
+    of the south wall; walls: the wall of each window; misfit_px: rms over the clicks; notes: a
+    sentence for each click more than 3 px from the room.
     """
     room = clicked.room
     rows = [(name, getattr(room, name)) for name in _CLICKED_FIELDS]

@@ -205,8 +205,9 @@ def read_answer(session: Session) -> JsonTable | None:
 def answer_table(session: Session, worker: Worker | None) -> JsonTable:
     """Return the last answer and what is computed now, as JSON for the page.
 
-    last: `read_answer`; computes: whether this process has a worker; step, problem: as of `Worker`;
-    least_captures: number that an answer needs. worker: None if nothing is computed here.
+    last: `read_answer`; computes: whether this process has a worker; step: name of the running
+    command or ""; problem: error of the last step or ""; least_captures: number that an answer
+    needs. worker: None if nothing is computed here.
     """
     step, problem = (worker.step, worker.problem) if worker else ("", "")
     doing = {"computes": worker is not None, "step": step, "problem": problem}

@@ -116,7 +116,7 @@ class DayBins(LineTail):
 
     def clear(self) -> None:
         """Set the state to that of a day without readings."""
-        self._sum_wm2, self._count = np.zeros((2, _BINS, 3))  # columns as of `means_wm2`
+        self._sum_wm2, self._count = np.zeros((2, _BINS, 3))  # GHI, DNI, DHI
         self.flagged = np.zeros(_BINS, bool)
         self.status: Counter[str] = Counter()
         self.last: tuple[datetime, float | None] | None = None
@@ -343,15 +343,15 @@ class Snapshots:
     def state(self) -> JsonTable:
         """Return the present state of the session, as JSON for the page.
 
-        name, timezone: of the site; folder; now_utc, now_local, today: present time;
-        rehearsal: True if time is simulated; running: whether a capture runs on this computer;
-        counts: number of slots by state (see `calendar`); slots: their number; next: the next slot,
-        as in `calendar`, None if none is left; latest: {"slot", "verdict", "local"} and the
-        scale of the newest panorama, None without one; devices: camera, camera_battery,
-        camera_clock_offset_s [s], and away (UTC since when, by device); irradiance: {"t_utc",
-        "ghi_wm2"} of the last reading or None; disk: {"free_bytes", "days"} (days of captures that
-        fit); computer: `battery`; events: {"level", "text", "local", "times"} each, newest first;
-        findings: of `doctor` without devices; version: changes with the plan and the slots' states.
+        name, timezone: of the site; folder; now_utc, now_local, today: present time; rehearsal:
+        True if time is simulated; running: whether a capture runs on this computer; counts: number
+        of slots by state (see `calendar`); slots: their number; next: the row of the next slot in
+        `calendar`, None if none is left; latest: {"slot", "verdict", "local"} and the scale of the
+        newest panorama, None without one; devices: camera, camera_battery, camera_clock_offset_s
+        [s], and away (UTC since when, by device); irradiance: {"t_utc", "ghi_wm2"} of the last
+        reading or None; disk: {"free_bytes", "days"} (days of captures that fit); computer:
+        `battery`; events: {"level", "text", "local", "times"} each, newest first; findings: of
+        `doctor` without devices; version: changes with the plan and the slots' states.
         """
         with self._lock:
             present = self._present()
@@ -414,8 +414,8 @@ class Snapshots:
     def day(self, day: date) -> JsonTable:
         """Return a local day as JSON for the page; keys: date, slots, scale and irradiance.
 
-        slots: as in `calendar`, with `verdict`; scale: `scale_of` all pictures of the day;
-        irradiance: `day_curve`.
+        slots: their rows of `calendar`, with `verdict` added; scale: `scale_of` all pictures of the
+        day; irradiance: `day_curve`.
         """
         with self._lock:
             present = self._present()

@@ -78,7 +78,7 @@ def mosaic_of(image: Floats32, cfa: str) -> Floats32:
 def _mosaic_of_values(cfa: str, values: tuple[float, ...], shape: tuple[int, int]) -> Floats32:
     """Return a mosaic [h, w] with one value for each of R, G1, G2, B, which is cached: read only.
 
-    cfa: as for `mosaic_of`; shape: (height, width).
+    cfa: letters of a cell of 2 x 2 pixels, row by row, such as RGGB; shape: (height, width).
     """
     mosaic = np.empty(shape, np.float32)
     for (row, column), value in zip(channel_positions(cfa), values, strict=True):

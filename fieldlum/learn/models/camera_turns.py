@@ -103,8 +103,8 @@ def _places(
 ) -> Array:
     """Return the row and column at which a turned camera's map shows each pixel, [2, H, W] px.
 
-    shape: (H, W); heading_deg, angles_deg: as for `turned_rays`. The centre of the first pixel is
-    (0, 0).
+    shape: (H, W); heading_deg: azimuth of the centre column; angles_deg [3]: turn in heading, tilt
+    and roll. The centre of the first pixel is (0, 0).
     """
     height, width = shape
     rays = turned_rays(equirect_rays(height, width, heading_deg), heading_deg, angles_deg)
@@ -124,9 +124,9 @@ def _interpolated(maps: Array, places: Array) -> Array:
 def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return a turned camera's map [H, W] as the camera would show it without the turn, [H, W].
 
-    heading_deg: azimuth of the map's centre column; angles_deg: the camera's turn in heading, tilt
-    and roll [3], as in `CameraTurns`. Interpolation is linear between pixels. Pass ln L, so that a
-    bright window does not spread over its frame.
+    heading_deg: azimuth of the map's centre column; angles_deg: the camera's turn in heading
+    (clockwise positive), tilt (up) and roll (clockwise) [3]. Interpolation is linear between
+    pixels. Pass ln L, so that a bright window does not spread over its frame.
     """
     return _interpolated(maps, _places(maps.shape, heading_deg, angles_deg))
 
@@ -134,10 +134,10 @@ def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[fl
 def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return the standard uncertainty that interpolation in `turned_back` causes, [H, W].
 
-    maps: one map [H, W], ln L or another quantity, whose unit the result has; heading_deg,
-    angles_deg: as for `turned_back`. A turn by a fraction f of a pixel mixes neighbours in the
-    picture, and turning it back mixes them again. What remains is f (1 - f) times the range of
-    values among the 3 x 3 neighbours.
+    maps: one map [H, W], ln L or another quantity, whose unit the result has; heading_deg: azimuth
+    of its centre column; angles_deg [3]: the camera's turn in heading, tilt and roll. A turn by a
+    fraction f of a pixel mixes neighbours in the picture, and turning it back mixes them again.
+    What remains is f (1 - f) times the range of values among the 3 x 3 neighbours.
     """
     places = _places(maps.shape, heading_deg, angles_deg)
     fraction = places - np.floor(places)
@@ -152,14 +152,14 @@ def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequenc
 
 
 def _edges_of(logs: Array, heading_deg: float, angles_deg: Array, smooth_px: float) -> Floats32:
-    """Return the derivatives of a map by row and by column, [2, H, W], after turning it back.
+    """Return the edges of a capture, to align it: derivatives by row and by column, [2, H, W].
 
-    logs: ln L [H, W]; heading_deg, angles_deg: as for `turned_back`; smooth_px: standard deviation
-    of the Gaussian that smooths the map before.
+    logs: ln L of the capture [H, W]; heading_deg: azimuth of its centre column; angles_deg [3]: its
+    turn in heading, tilt and roll as estimated before, which is reversed; smooth_px: standard
+    deviation of the Gaussian that smooths the map first.
     """
     logs = turned_back(logs, heading_deg, angles_deg) if angles_deg.any() else logs
-    modes = ("nearest", "wrap")
-    smooth = gaussian_filter(logs, smooth_px, mode=modes, truncate=3.0)  # pyright: ignore[reportArgumentType]
+    smooth = gaussian_filter(logs, smooth_px, mode=("nearest", "wrap"), truncate=3.0)  # pyright: ignore[reportArgumentType]
     across = (np.roll(smooth, -1, axis=1) - np.roll(smooth, 1, axis=1)) / 2.0
     return np.stack((np.gradient(smooth, axis=0), across)).astype(np.float32)
 

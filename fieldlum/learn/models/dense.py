@@ -491,7 +491,8 @@ class Run:
     def rate_now(self, budget_s: float | None) -> float:
         """Return the learning rate of the next update, which falls to 0 as a cosine of `share`.
 
-        In the first 3 % of the updates it also rises linearly from 0. budget_s: as for `share`.
+        In the first 3 % of the updates it also rises linearly from 0. budget_s: time limit of the
+        training [s]; None for no limit.
         """
         warm = min(1.0, (self.step + 1) / (0.03 * self.steps + 1))
         return self.rate * warm * 0.5 * (1.0 + math.cos(math.pi * self.share(budget_s)))
@@ -532,7 +533,7 @@ def fit(
     limit [s], None for no limit; plan: length of the training, None for `affordable_run`.
     checkpoint: path of a file that is written after each epoch, None for none; an existing one is
     continued, with its length. shape: form of the network. Raises InputError for a checkpoint that
-    cannot be used, and NotEnoughDataError as `affordable_run`.
+    cannot be used, and NotEnoughDataError for a limit too short to use each pixel once.
     """
     start_s, start_cpu_s = time.monotonic(), time.process_time()
     device = pick_device()

@@ -111,7 +111,10 @@ def glass_reflectance(cosine: ArrayLike) -> Floats:
 
 
 def tolerance_rad(height: int) -> float:
-    """Return how far an image may be from its computed place in maps with `height` rows [rad]."""
+    """Return how far the sun's image in a plane mirror may be from its computed place [rad].
+
+    It is 1 degree, for errors of the camera's pose, and 0.75 pixels of a map with `height` rows.
+    """
     return float(np.radians(_POINTING_DEG) + _WITHIN_PIXEL * np.pi / height)
 
 
@@ -280,7 +283,10 @@ class MirroredSun:
 
     @property
     def uncertain(self) -> Mask:
-        """Mask [n], True where the chance that `shown` is wrong exceeds 5 %: not to be trusted."""
+        """Mask [n] of the hours whose maps may show or lack the sun's image wrongly.
+
+        True where the chance of this exceeds 5 %; such an hour is not trusted.
+        """
         return np.where(self.shown, 1.0 - self.chance, self.chance) > 0.05
 
 

@@ -101,8 +101,9 @@ def fit_timed(
 ) -> tuple[Fitted, Spent]:
     """Fit the model `name` of `MODELS` to `data`; return the model and the time of the fit.
 
-    patch, seed: as for `fit_and_score`. budget_s: time limit [s], None for no limit; checkpoint:
-    file that stores an interrupted fit, None for none. Only slow models use these two.
+    patch: with "none" sun patches are not an input. seed: of all random numbers. budget_s: time
+    limit [s], None for no limit; checkpoint: file that stores an interrupted fit, None for none.
+    Only slow models use these two.
     """
     wall, cpu = monotonic(), process_time()
     slow = {"budget_s": budget_s, "checkpoint": checkpoint} if MODELS[name].slow else {}
@@ -244,9 +245,9 @@ def fit_and_score(
 
     model: a name of `MODELS`, or "auto" for all of them. patch: with "none" sun patches are not an
     input. budget_s: time in which the network is trained [s], half of it without held-out days.
-    seed: of all random numbers. checkpoint: of the network's last training, as for `dense.fit`.
-    Raises NotEnoughDataError for too few hours to hold any out, or to fit `model`, and if the
-    network has no time.
+    seed: of all random numbers. checkpoint: file that stores the network's last training, and
+    continues it if it exists; None for none. Raises NotEnoughDataError for too few hours to hold
+    any out, or to fit `model`, and if the network has no time.
     """
     patch = patch_mode(data, patch)
     captures = len(data)
@@ -281,8 +282,8 @@ def fit_and_score(
 def _trials(data: Dataset, model: str, options: dict[str, Any]) -> tuple[list[Trial], list[str]]:
     """Test the models on held-out days; return the trials, and notes on models without a trial.
 
-    model: as for `fit_and_score`; options: patch, seed and budget_s of `evaluate_folds`. Raises
-    NotEnoughDataError if there are too few hours for `model`.
+    model: a name of `MODELS`, or "auto" for all of them; options: patch, seed and budget_s [s] of
+    each trial. Raises NotEnoughDataError if there are too few hours for `model`.
     """
     names = [name for name, kind in MODELS.items() if kind.baseline or model in (name, "auto")]
     trials, left_out, folds = [], [], day_folds(data)

@@ -242,8 +242,9 @@ class MeanTransport:
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict luminance maps [n, H, W] cd/m2 of the n hours of `light`.
 
-        patch_cdm2 and errors: as for `Transport.predict`, of the fitted scene; the patches of the
-        stated room are computed.
+        patch_cdm2 [n, H, W]: luminance of direct sun on the surfaces of the fitted scene; the
+        patches of the stated room are computed. Raises InputError for required patches that are
+        missing or of another shape.
         """
         fitted = self.fitted.predict(light, patch_cdm2)
         stated = self.stated.predict(light, self._stated_patches(light))
@@ -261,7 +262,11 @@ class MeanTransport:
         )
 
     def _stated_patches(self, light: Light) -> Floats32 | None:
-        """Return the sun patches of the stated room [n, H, W] cd/m2; None if it is not used."""
+        """Return the sun patches of the stated room, [n, H, W] cd/m2; None if its model uses none.
+
+        They are computed from the geometry alone; `predict` of that model multiplies them by its
+        fitted patch_scale.
+        """
         stated = self.stated
         if stated.physics is None or stated.patch_scale is None:
             return None
@@ -338,8 +343,9 @@ def _choose_with_or_without_room(data: Dataset, patch: Patch, seed: int) -> _Cho
     A box can be worse than no room if it lacks, for example, a building in front of its windows.
     Compared are geometric means of the errors of held-out days and seasons. Without the room this
     figure is 0.34 times that with it in a room of another renderer where the year's error is 0.35
-    times; in seven others it is 0.8 to 1.8 times, where the year's error is 0.7 to 1.8 times. data,
-    patch, seed: as for `_candidates_of`.
+    times; in seven others it is 0.8 to 1.8 times, where the year's error is 0.7 to 1.8 times. data:
+    the captures; patch: with "none" sun patches are not used; seed: of the draw of pixels that
+    compare the inputs.
     """
     stated = _choose_inputs(_candidates_of(data, patch, seed))
     if data.setup.room is None or seasons(data.days).max() == 0:

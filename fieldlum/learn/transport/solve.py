@@ -203,7 +203,9 @@ def solve(
 ) -> tuple[Array, Array]:
     """Return the coefficients b [P, r] and the gains [P, k] of every pixel.
 
-    They minimise the sum at the top of this module. Arguments: as for `normal_equations`.
+    They minimise the sum at the top of this module. basis: r features that all pixels share;
+    columns: k of each pixel; target [n, P]: captured luminance over total light and pixel scale;
+    weights [n, P]: of the targets; noise: variance of a target of weight 1.
     """
     r = basis.values.shape[1]
     matrix, right = normal_equations(basis, columns, target, weights, noise)
@@ -287,7 +289,8 @@ def fit_pixels(
 ) -> PixelFit:
     """Fit all P pixels of `arrays`, in chunks that limit the memory.
 
-    noise: variance of a target of weight 1. tick: as for `for_each_chunk`.
+    noise: variance of a target of weight 1. tick: called after each chunk with the number of
+    completed pixels and P.
     """
     (hours, features), count = basis.values.shape, arrays.luminance.shape[1]
     scale, zeros = pixel_scale(arrays), partial(np.zeros, dtype=np.float32)
@@ -435,7 +438,8 @@ def _hold_out_chunk(
     by `scale`, so about 1. With hat matrix H = X A^-1 X' W of the full fit, residuals e and a day's
     rows D, the residuals without the day are d = (1 - H_DD)^-1 e_D (block form of the leave-one-out
     identity), and the fit without the day is the full fit minus A^-1 X_D' W_D d. Features and
-    weights are those of the full fit. arrays, scale, basis, noise: as for `fit_chunk`.
+    weights are those of the full fit. scale [P]: usual luminance per lx of total light; basis:
+    features that all pixels share; noise: variance of a target of weight 1.
     """
     fit = fit_chunk(arrays, scale, basis, noise)
     unit = arrays.light.total_lx[:, None] * scale

@@ -382,7 +382,8 @@ def unreadable(path: Path, *, camera_pixels: int = 0) -> str:
     """Return why the pixels of a JPEG or raw frame cannot be read; "" if they can.
 
     Decodes the frame, which takes some seconds for a large raw file. A missing f-number is no
-    reason for a raw frame. camera_pixels: as for `read_jpeg`.
+    reason for a raw frame. camera_pixels: pixels of the camera by its profile, which a JPEG may
+    have, 0 without a profile.
     """
     try:
         if is_jpeg(path):

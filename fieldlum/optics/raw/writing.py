@@ -119,7 +119,7 @@ def write_jpeg(
 
     A file at `path` is replaced. exposure: shutter time, f-number, ISO and the name of an ND filter
     for the EXIF; t_camera, make, model: time and camera for the EXIF, None or "" for none; quality:
-    1 to 100, as in Pillow.
+    of the JPEG, 1 to 100.
     """
     from PIL import Image
 

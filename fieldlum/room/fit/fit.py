@@ -102,9 +102,11 @@ class SceneSearch:
         pixels: int = PIXELS,
         min_hours: int = MIN_SUNNY_HOURS,
     ) -> None:
-        """Prepare the search for a room; the arguments are those of `fit_scene`.
+        """Prepare the search for a room.
 
-        Raises NotEnoughDataError for fewer than `min_hours` captures with direct sun on a window.
+        clock_sd_min: standard uncertainty of the stated times, not used with `pose`; pixels: number
+        to sample. Raises NotEnoughDataError for fewer than `min_hours` captures with direct sun on
+        a window.
         """
         self.data, self.room, self.pose = data, room, pose
         self.evidence = scene_evidence(data, room, pixels=pixels, min_hours=min_hours)

@@ -247,7 +247,7 @@ def _without(interval: Span, part: Span) -> Span:
 
 
 def _window(guess: Guess, rect: WindowRect) -> Window:
-    """Return a window as in `[[room.window]]`; left_m is from the left end as seen from inside.
+    """Return a window of SITE.toml; its left_m is from the wall's left end as seen from inside.
 
     It has no frame and no transom: the guess's bars become obstructions.
     """

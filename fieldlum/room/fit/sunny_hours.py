@@ -33,9 +33,10 @@ def direct_on_windows_lx(data: Dataset, room: Room | None) -> Floats:
 def sunny_hours(data: Dataset, room: Room | None) -> Mask:
     """Return a mask [n], True for hours with strong direct sun on the plane of a window.
 
-    room: as for `direct_on_windows_lx`. Strong is over a tenth of the strongest hour. On overcast
-    days this can be a faint sun: if fewer than six of the strong hours have sunshine (direct
-    irradiance of at least 120 W/m2), only those with sunshine are True.
+    Without a box room with windows, the planes are eight vertical ones, every 45 degrees. Strong is
+    over a tenth of the strongest hour. On overcast days this can be a faint sun: if fewer than six
+    of the strong hours have sunshine (direct irradiance of at least 120 W/m2), only those with
+    sunshine are True.
     """
     direct_lx = direct_on_windows_lx(data, room)
     strong = direct_lx > _STRONGEST_SHARE * max(float(direct_lx.max(initial=0.0)), 1.0)

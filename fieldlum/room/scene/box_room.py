@@ -328,7 +328,7 @@ def upright(axis: int, n: Span, u: Span, z: Span, reflectance: float, kind: str)
     """Return a box by its extent across the wall, along it, and in height, (from, to) each [m].
 
     axis : index of the axis n across the wall, 0 x or 1 y; u : along the wall; z : height.
-    reflectance : 0 to 1; kind : as in `Box`, such as "wall" or "frame".
+    reflectance : 0 to 1; kind : "floor", "ceiling", "wall", "frame", "obstruction" or "ground".
     """
     if axis == 1:
         return Box((u[0], n[0], z[0]), (u[1], n[1], z[1]), reflectance, kind)

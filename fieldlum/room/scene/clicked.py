@@ -103,7 +103,7 @@ def clicks_from_rows(rows: Any) -> list[Click]:
 def _click(where: str, line: int, row: Any) -> Click:
     """Return a click from a table's row or a page's dict. Raises InputError for a wrong cell.
 
-    where: the place that the error names; line: as in `Click`.
+    where: the place that the error names; line: of the csv, or the number of the click.
     """
     expected = f"a kind of {', '.join(KINDS)}; numbers x_px and y_px; 1 to 50 for a window"
     try:
@@ -354,8 +354,10 @@ def _fit(
 ) -> ClickedRoom:
     """Return the room whose corners are nearest to the clicks, by robust least squares in pixels.
 
-    start: values as for `_Corner.point`; corners: the corner that each click means, None for a
-    click that means none; camera_height_m: above the floor. Uncertainties follow from `CLICK_PX`.
+    start [6 + 4 w]: azimuth of the "south" wall [deg], then width, depth, height, camera x, camera
+    y, and left, width, sill, height of each of w windows [m]; corners: the corner that each click
+    means, None for a click that means none; camera_height_m: above the floor. Uncertainties follow
+    from `CLICK_PX`.
     """
     from scipy.optimize import least_squares
 
@@ -399,8 +401,9 @@ def _room(
 ) -> Room:
     """Return the room of fitted values, with transoms and panes by the clicks on transoms and bars.
 
-    values: as for `_Corner.point`; walls: name of each window's wall, by its index from 0; grid:
-    from pixels to directions; camera_height_m: above the floor.
+    values [6 + 4 w]: azimuth of the "south" wall [deg], then width, depth, height, camera x, camera
+    y, and left, width, sill, height of each of w windows [m]; walls: name of each window's wall, by
+    its index from 0; grid: from pixels to directions; camera_height_m: above the floor.
     """
     rounded = [round(value, 4) for value in values.tolist()]
     axes, camera = room_axes(values[0]), (values[4], values[5], camera_height_m)

@@ -46,7 +46,10 @@ def corners_of(axis: int, at_m: float, low: Floats, high: Floats) -> Floats:
 
 
 def _rectangle(name: str, material: str, axis: int, at_m: float, low: Floats, high: Floats) -> str:
-    """Return a rectangle as Radiance text; axis, at_m, low, high: as for `corners_of`."""
+    """Return a rectangle as Radiance text.
+
+    axis: of its normal, 0 to 2; at_m: its coordinate there; low, high [3]: ends on the other axes.
+    """
     numbers = " ".join(f"{x:.7g}" for x in corners_of(axis, at_m, low, high).ravel())
     return f"{material} polygon {name}\n0\n0\n12 {numbers}\n"
 
@@ -184,7 +187,8 @@ def traced_sky_share(room: Room, rays: Floats) -> Floats:
     """Return the share of the open sky's light that rays from the viewpoint receive, [m].
 
     rays [m, 3]: directions in world axes. The share is 0 behind an opaque surface and below the
-    horizon, else the transmittance of the glass. Raises InputError as `traced`.
+    horizon, else the transmittance of the glass. Raises InputError for a room file that is missing,
+    invalid or could run a command.
     """
     with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
         return np.asarray(trace(lit, _viewpoint(room), rays), float)

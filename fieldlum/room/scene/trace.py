@@ -312,9 +312,10 @@ def _past_bars(
 ) -> float:
     """Return the share of the sun's light, 0 to 1, that passes an opening's bars.
 
-    bars [b, 5]: as for `add_through`; u, z: along the wall and in height, where the line to the sun
-    meets the wall's inner face [m]; slope_u, slope_z: by how much they change per metre outwards;
-    soft: width of the shade's edges [m].
+    bars [b, 5]: upright (1) or level (0), from and to across the bar, from and to outwards from the
+    inner face, m; u, z: along the wall and in height, where the line to the sun meets the wall's
+    inner face [m]; slope_u, slope_z: by how much they change per metre outwards; soft: width of the
+    shade's edges [m].
     """
     share = 1.0
     for bar in range(len(bars)):  # columns: upright, span from and to, depth from and to
@@ -337,9 +338,10 @@ def add_through(
     sign outwards, inner and outer face, u from and to, z from and to [8]; u is along the wall. bars
     [b, 5]: upright (1 or 0), span from and to, depth from and to, outwards from the inner face.
     low, high: corners of boxes that shade [s, 3]. For each point: position [r, 3], slightly above
-    its surface; face, as in `_cosine`, -1 for one that no sun reaches; softness: width over which
-    an edge's shade grows, m; weight; target: column of `totals`. suns: unit vectors [n, 3]; glass:
-    transmittance at each [n]; totals [n, targets]: changed in place.
+    its surface; face: direction of its normal, 0, 1, 2 for +x, +y, +z, 3, 4, 5 for -x, -y, -z, -1
+    for one that no sun reaches; softness: width over which an edge's shade grows, m; weight;
+    target: column of `totals`. suns: unit vectors [n, 3]; glass: transmittance at each [n]; totals
+    [n, targets]: changed in place.
     """
     axis, outward = int(opening[0]), opening[1]
     along, inner, thickness = 1 - axis, opening[2], (opening[3] - opening[2]) * opening[1]
@@ -358,7 +360,7 @@ def add_through(
             low_u, high_u = u_from - min(shift_u, 0.0), u_to - max(shift_u, 0.0)
             low_z, high_z = z_from - min(shift_z, 0.0), z_to - max(shift_z, 0.0)
             near, far = (inner - bounds[axis]) * outward, (inner - bounds[3 + axis]) * outward
-            overlap = 1  # as for `_overlap`: some points of the block see the sun, or unknown
+            overlap = 1  # 1: some points of the block see the sun, or unknown; 0: none; 2: all
             if min(near, far) > 2.0 * EPSILON_M:
                 overlap_u = _overlap(bounds, along, slope_u * near, slope_u * far, low_u, high_u)
                 overlap_z = _overlap(bounds, 2, slope_z * near, slope_z * far, low_z, high_z)
@@ -404,7 +406,10 @@ def _add_outside(
 ) -> None:  # fmt: skip
     """Add to `totals` the sunlight of n suns on r points outside the panes, past all boxes.
 
-    A point adds weight x cosine x visible share. The arguments are those of `add_through`.
+    A point adds weight x cosine x visible share. low, high [s, 3]: corners of the boxes that shade,
+    m; position [r, 3] m; face [r]: direction of the normal, 0, 1, 2 for +x, +y, +z, 3, 4, 5 for -x,
+    -y, -z; weight [r]; target [r]: column of `totals`; suns [n, 3]: unit vectors; totals [n,
+    targets]: changed in place.
     """
     inverse, boxes = _inverses(suns), np.arange(len(low))
     hard = np.full(len(face), HARD_M, np.float32)
@@ -424,7 +429,11 @@ def _add_outside(
 
 @dataclass(frozen=True)
 class _Group:
-    """Points inside or outside the panes, as for `add_through`, and corners of boxes that shade."""
+    """The r points inside or outside the panes, and the s boxes that shade them.
+
+    position [r, 3] m; face [r]: direction of the normal, 0, 1, 2 for +x, +y, +z, 3, 4, 5 for -x,
+    -y, -z; weight [r]; target [r]: index of the sum; low, high [s, 3]: corners of the boxes, m.
+    """
 
     position: Floats32
     face: NDArray[np.int8]

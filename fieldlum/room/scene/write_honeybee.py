@@ -112,7 +112,8 @@ def _side(
 def _face(scene: BoxScene, inside: Box, name: str, axis: int, side: int) -> dict[str, Any]:
     """Return the floor, the ceiling or a wall with its windows, as a Face.
 
-    inside: the room's air; name: the identifier; axis, side: as for `_side`.
+    inside: the room's air; name: the identifier; axis: of its normal, 0 to 2; side: 0 for the
+    lower, 1 for the upper end of the axis.
     """
     kind = ("floor", "ceiling")[side] if axis == 2 else "wall"
     face_type = {"floor": "Floor", "ceiling": "RoofCeiling", "wall": "Wall"}[kind]

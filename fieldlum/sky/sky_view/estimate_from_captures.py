@@ -6,7 +6,7 @@ sky, partly open, shut, or undecided, and checks the result with the discs in th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from datetime import date, datetime
 from typing import Any
@@ -116,8 +116,9 @@ def sky_view_of(
 
     Captures with snow are not used, unless all captures by daylight have it. Without a capture of
     the usual state, the most frequent state is the main view. discs: those that merge measured;
-    heading_deg: stated azimuth of the pictures' centre column; seen: as of `estimate`. Raises
-    NotEnoughDataError without a capture by daylight, which is over 1 000 lx of diffuse light.
+    heading_deg: stated azimuth of the pictures' centre column; seen: returns a mask [p] of the
+    directions [p, 3] that a lens saw. Raises NotEnoughDataError without a capture by daylight,
+    which is over 1 000 lx of diffuse light.
     """
     states = captured.light.states or ("",) * len(captured.light)
     lit = np.flatnonzero(captured.light.diffuse_lx > BEAM_LX).tolist()
@@ -403,11 +404,12 @@ def _covered(stack: _Stack, pose: CameraPose) -> Mask:
 
 
 def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
-    """Return the view with wider bounds where sky of one season is dark in another, as by leaves.
+    """Return the view with wider bounds of the beam's share where leaves hide sky in some seasons.
 
-    No capture shows when leaves come and fall: bounds there are from no disc to that of open sky.
-    A season with enough captures gets a view of its own, for the days around them. decided: the
-    view of all captures, whose pictures are `stack`.
+    There sky of one season is dark in another, and no capture shows when leaves come and fall, so
+    that the share of the sun's beam that arrives is from 0 (no disc) to that through open sky. A
+    season with 12 or more captures also gets a view of its own, in `seasons` of the result, for the
+    days around its captures. decided: the view of all captures, whose pictures are `stack`.
     """
     view, season = decided.view, _season(stack.light)
     groups = [np.flatnonzero(season == k) for k in range(4)]  # captures of each season
@@ -422,7 +424,7 @@ def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
     usual, sky = _seasonal_ratios(stack, rays, seasonal, pane_sky)
     hidden = [stack.placed(dark) > 0.0 for dark in usual < 0.5 * sky]  # [h, w] for each season
     changes = np.any(hidden, axis=0) & (stack.placed(sky) > pane_sky)
-    # bounds for the days of the year that no capture decides
+    # bounds [h, w] of the beam's share for the days of the year that no capture decides
     low = np.where(changes, np.float32(0.0), view.low)
     highest = np.clip((1.0 + 2.0 * _SCALE_SD) * stack.placed(sky), view.high, 1.0)
     high = np.where(changes, highest, view.high).astype(np.float32)
@@ -610,10 +612,14 @@ def _checked(decided: _Decided, captured: Captured, covered: Sequence[datetime])
     Its notes name the captures that contradict it, and those through an unmarked blind. covered:
     times of the latter, as far as they are known before and so not among `captured`.
     """
+    # Only captures with a strong beam decide, if it is known whether they show a disc.
     strong = (captured.light.direct_lx > BEAM_LX) & ~np.isnan(captured.disc_share)
     captured = captured.take(np.flatnonzero(strong).tolist())
+    # Scattering panes behind which several suns showed no disc are shut.
     suns = decided.view.pose.in_pictures(captured.light.apparent_sun_direction)
     without = _panes_without_disc(decided.view, decided.scatters, suns, captured.disc_share)
+    # All discs together correct the transmittance. Then each capture that contradicts a view of
+    # its days corrects that view where the sun was.
     gain, views, contradictions = _gain(decided.view, captured), [], dict.fromkeys(covered, _DARK)
     for view in (decided.view, *decided.seasons):
         holds = view.days_from(captured.light.day_of_year) <= REACH_DAYS
@@ -622,21 +628,29 @@ def _checked(decided: _Decided, captured: Captured, covered: Sequence[datetime])
         views.append(corrected)
         contradictions |= contradictions_then
     decided = replace(decided, scatters=decided.scatters & ~without)
-    notes = _notes(decided) + decided.view.pose.notes
+    notes = (*_notes(decided), *decided.view.pose.notes, *_contradiction_notes(contradictions))
+    return replace(views[0], notes=notes, others=tuple(views[1:]))
+
+
+def _contradiction_notes(contradictions: Mapping[datetime, str]) -> Iterator[str]:
+    """Yield sentences that name the captures that contradict the view, by their times.
+
+    contradictions: what a capture shows: "a disc", "no disc", or `_DARK` for one that is dark where
+    others show sky.
+    """
     shown = {f"{t:%Y-%m-%d %H:%M} UTC": contradictions[t] for t in sorted(contradictions)}
     dark = [time for time, kind in shown.items() if kind == _DARK]
     if named := [f"{time} ({kind} captured)" for time, kind in shown.items() if kind != _DARK]:
-        notes += (
+        yield (
             f"{counted(len(named), 'capture')} contradicted the sky view, corrected there: "
-            f"{listed(named, 3)}; check the heading and the clock",
+            f"{listed(named, 3)}; check the heading and the clock"
         )
     if dark:
-        notes += (
+        yield (
             f"{counted(len(dark), 'capture')} dark where others show sky, not used there: "
             f"{listed(dark, 3)}; a thin bar hid the sun, or a blind was down: mark a blind "
-            "(fieldlum status --mark)",
+            "(fieldlum status --mark)"
         )
-    return replace(views[0], notes=notes, others=tuple(views[1:]))
 
 
 _DARK = "dark"  # what a capture through a blind shows

@@ -23,9 +23,9 @@ _NEAR_SUN_DEG = 10.0
 BEAM_LX = 1000.0  # a weaker beam shows no disc and has no bright region around it; chosen
 # Spread of the logarithm of a real sky over Perez's (Perez et al. 1993: 10 to 40 % by type of sky).
 _MAX_SKY_SPREAD = 0.45
-# Directions of the reference have less than this spread, over their spread against other light; and
-# at least these shares of the brightest ratio, in six steps of which the first omits tinted panes.
-# Chosen.
+# Directions of the reference have less than this spread, over their spread against other light. In
+# each of six steps they have at least this share of the brightest ratio to Perez's sky: 0.5 omits
+# tinted panes while the sky is not yet corrected, 0.15 admits them. Chosen.
 _REFERENCE_FOLLOWS, _REFERENCE_SHARES = 0.8, (0.5, *5 * (0.15,))
 MIN_CAPTURES = 6  # fewer do not separate the sky from other light; chosen
 SOME = 500  # directions of the open sky that are used at most; only for speed
@@ -86,12 +86,14 @@ class SkyReference:
 
 
 def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReference:
-    """Return the directions among p that show the sky, and how it differs from Perez's.
+    """Return m of p directions that show the sky, and how it differs from Perez's sky there.
 
-    luminance [n, p], rays [p, 3]: as for `follow`. It begins with bright directions that follow
-    Perez's sky better than other light, and is refined with those that follow the corrected sky.
+    luminance [n, p] cd/m2, NaN if unusable, of n captures with the light `light` outside; rays
+    [p, 3]: unit vectors, x east, y north, z up. The first directions are bright and follow Perez's
+    sky better than other light. Each further step takes those that follow the sky as the last step
+    corrected it. Without any such direction m is 0, and the sky is Perez's, uncorrected.
     """
-    step = max(1, len(rays) // (10 * SOME))
+    step = max(1, len(rays) // (10 * SOME))  # every step-th direction is enough
     luminance, rays = luminance[:, ::step], rays[::step]
     measured = usable_log(luminance, light, rays)
     reference = SkyReference(np.empty((0, 3)), np.empty((len(light), 0)), float("nan"))
@@ -100,6 +102,7 @@ def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReferen
     plausible = (spread < _MAX_SKY_SPREAD) & (spread < other_spread)
     if not plausible.any():
         return reference
+    # ln of the ratio to Perez's sky behind the clearest pane; the quantile omits gross errors
     brightest = float(np.quantile(level[plausible], 0.98))
     follows = plausible
     for share in _REFERENCE_SHARES:
@@ -172,10 +175,11 @@ def away_from_sun(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
 def dark_shares(luminance: Floats32, light: Light, rays: Floats, shade: float) -> Floats:
     """Return the share of the sky in view that is darker than usual in each capture, [n].
 
-    luminance, rays: as for `follow`. A direction is dark if its luminance over the usual one is
-    below `shade`, relative to Perez's sky and also to the diffuse light: Perez's sky is too bright
-    near the sun. The usual is that of the most alike 40 % of the captures, so that a blind that is
-    down in up to 60 % of them changes neither it nor the choice of directions.
+    luminance [n, p] cd/m2, NaN if unusable; light: outside at the n captures; rays [p, 3]: unit
+    vectors, x east, y north, z up. A direction is dark if its luminance over the usual one is below
+    `shade`, relative to Perez's sky and also to the diffuse light: Perez's sky is too bright near
+    the sun. The usual is that of the most alike 40 % of the captures, so that a blind that is down
+    in up to 60 % of them changes neither it nor the choice of directions.
     """
     measured = usable_log(luminance, light, rays)
     by_diffuse, by_total = (measured - np.log(lx)[:, None] for lx in _other_lx(light))

@@ -333,7 +333,7 @@ def view_coverage(views: Views) -> ViewCoverage:
     The unseen part is the rest of the hemisphere in front. It can be one large glare source, with
     the position index of its centre, or many: `unseen_sources` is the larger of both.
     """
-    # rows as in `Views.hemisphere`: illuminance, solid angle, moments right and up, sources
+    # [5, d] sums: illuminance, solid angle, moments right and up, solid angle / position index^2
     seen = np.zeros_like(views.hemisphere)
     seen[0] = views.illuminance.sum(axis=0, dtype=float)
     share = np.minimum(seen[0] / views.hemisphere[0], 1.0)
@@ -381,9 +381,9 @@ def unseen_dgp_bounds(
 ) -> tuple[Floats, Floats]:
     """Return the minimum and maximum DGP over possible luminances of the unseen part, [n, d].
 
-    ev_lx, contrast : [n, d] of the seen part, as of `glare_directions`; max_cdm2 : [n] the
-    brightest likely luminance of the unseen part. If nothing is unseen, both are the DGP of the
-    seen part.
+    ev_lx, contrast : [n, d] vertical illuminance, and sum of L^2 omega / P^2 over sources, of the
+    seen part; max_cdm2 : [n] the brightest likely luminance of the unseen part. If nothing is
+    unseen, both are the DGP of the seen part.
     """
     values = [dgp(ev_lx, contrast)]
     for share in np.linspace(0.0, 1.0, 12) if coverage.unseen_illuminance.any() else ():

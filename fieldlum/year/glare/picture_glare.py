@@ -54,9 +54,10 @@ def picture_glare(
     fisheye's own. reference : add evalglare's figures. view_options : Radiance's options that
     replace the view in the file; "" to use the file's. part : name of the part, layer or stereo
     view of an .exr; "" for the only one. measured_ev_lx : scale the picture so that its first view
-    has this vertical illuminance; None for no scaling. lamps : as for `melanopic_edi`. Keys:
-    `glare_answer`. Raises InputError for an unusable picture, for azimuths other than the own one
-    of a picture that is no panorama, or if a picture to scale has no light in its first view.
+    has this vertical illuminance; None for no scaling. lamps : electric light is on, or off; None
+    if unknown. Keys: `glare_answer`. Raises InputError for an unusable picture, for azimuths other
+    than the own one of a picture that is no panorama, or if a picture to scale has no light in its
+    first view.
     """
     picture = pictures.read_picture(path, view_options, part)
     picture = picture if lamps is None else replace(picture, lamps=lamps)
@@ -93,7 +94,9 @@ def glare_answer(
 ) -> tuple[JsonTable, Sources]:
     """Return the `glare` answer of a picture with its luminance times `factor`, and its sources.
 
-    path : names the picture in the answer and in errors. Further arguments: `picture_glare`. Keys:
+    path : names the picture in the answer and in errors. azimuths_deg : view directions, clockwise
+    from north; if empty, ten around a panorama, or a fisheye's own. reference : add evalglare's
+    figures. Keys:
 
     file; t_utc : time of the picture; None if unknown. heading_deg : azimuth of a panorama's centre
     column, or of a fisheye's view. sun : the sun as a source next to the pixels (fields of

@@ -276,7 +276,8 @@ def picture_directions(picture: Picture) -> tuple[Floats, Floats]:
 def _reach(kind: str, angle_deg: float) -> float:
     """Return the radius in a picture at half of the angle angle_deg from the axis.
 
-    kind : mapping, as in `PictureView`; the focal length of the picture is 1.
+    kind : mapping: a (equidistant), h (hemispherical), s (stereographic) or v (perspective); the
+    focal length of the picture is 1.
     """
     half = np.radians(angle_deg) / 2.0
     reach = {"a": half, "h": np.sin(half), "s": 2.0 * np.tan(half / 2.0), "v": np.tan(half)}
@@ -403,7 +404,8 @@ def _fisheye_samples(
     """Return which samples of a fisheye are in front [k size, k size], and their panorama pixels.
 
     There are k x k samples in each pixel of the fisheye. Panorama pixels are flat indices into the
-    panorama [height, width], one for each sample in front. Arguments: `panorama_to_fisheye`.
+    panorama [height, width], one for each sample in front. heading_deg : azimuth of the panorama's
+    centre column; azimuth_deg : of the fisheye's view; size : its pixels per side.
     """
     samples = max(2, int(np.ceil(2.0 * height / size)))
     y, x = picture_centres(size * samples, size * samples)

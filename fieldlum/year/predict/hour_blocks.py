@@ -416,7 +416,8 @@ def room_figures(
 ) -> HourFigures:
     """Predict the n hours of `light` in this process, and return their figures in d directions.
 
-    azimuths_deg: the directions [d], clockwise from north. Raises the errors of `blocks`.
+    azimuths_deg: the directions [d], clockwise from north. Raises InputError for maps of a size
+    other than in config.json, FloatingPointError for luminances that are not finite.
     """
     best_lx, discs_lx = discs_of(room, light, seed=0)
     judge, hours = HourJudge(room, azimuths_deg), blocks(fitted, room, light, best_lx)
@@ -478,7 +479,8 @@ def predict_figures(
     room: that of the model in model_folder; azimuths_deg [d]: the directions; store: result of
     `begin_maps`, None to write no maps; melanopic: colours by the captures, None without any; seed:
     for random draws; scheduler: runs the units of work, each of 64 hours, the last of the rest.
-    Raises InputError and FloatingPointError as `blocks`.
+    Raises InputError for maps of a size other than in config.json, FloatingPointError for
+    luminances that are not finite.
     """
     model = model_folder.resolve()
     # the units' folder, from which workers find the model and the store of the maps

@@ -90,17 +90,20 @@ class MelanopicYear:
     def figures(
         self, light: Light, views: Figures, u_map_rel: Floats, drawn_lx: Floats, unseen_lx: Floats
     ) -> dict[str, Floats]:
-        """Return melanopic EDI and its standard uncertainty, by column of hourly.csv, [n, d] each.
+        """Return melanopic EDI [lx] of n hours in d directions and its standard uncertainty.
 
-        views : figures of the hours, with `ev_lx` and `sun_ev_lx`; u_map_rel [n, d] : relative
-        standard uncertainty of the map's part of `ev_lx`; drawn_lx [m, n, d] : Ev in draws of the
-        sun's disc; unseen_lx [n, d] : the most that the unseen part of the view adds to Ev. The
-        further keys are what `edi_budget` needs. In hours with a lamp on the ratio is `LAMP_RATIO`
-        of that by colour; in hours that are not marked as without one it may be.
+        Arrays are [n, d]. The keys melanopic_edi_lx and u_melanopic_edi_lx are columns of
+        hourly.csv; the others are parts of both, for the budget. views : figures of the hours, with
+        `ev_lx` and `sun_ev_lx`; u_map_rel : relative standard uncertainty of the map's part of
+        `ev_lx`; drawn_lx [m, n, d] : Ev in m draws of the sun's disc; unseen_lx : the most that the
+        unseen part of the view adds to Ev. With a lamp on, the ratio of melanopic to photopic light
+        is `LAMP_RATIO` of that by colour. An hour that is not marked "lamp off" may have one.
         """
         by_colour, states = self.ratio(light), light.states or ("",) * len(light)
         may_be_lit = np.array([[LAMP_OFF not in text] for text in states])
-        u_lamp_rel = melanopic.ratio_u_rel(by_colour, 0.0) * may_be_lit
+        # 0.0, so that only the unknown spectrum of lamps counts here: the uncertainty under daylight
+        # (fit and camera, `self.u_rel`) is added below.
+        u_lamp_rel = melanopic.ratio_u_rel(by_colour, u_rel=0.0) * may_be_lit
         ratio = by_colour * np.where(_lit(light), melanopic.LAMP_RATIO, 1.0)
         of_map = (views["ev_lx"] - views["sun_ev_lx"]) * ratio
         sun_ratio = melanopic.sun_melanopic_ratio(light.apparent_altitude_deg)[:, None]

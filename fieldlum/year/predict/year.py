@@ -178,15 +178,18 @@ def _judged(
 ) -> tuple[Annual, list[budget.Budget]]:
     """Return the year with the classes of its directions, and the budgets of their exceeded DGP.
 
-    uncertainty: that of DGP in all hours; hours_used: number of occupied hours, lit and dark ones;
-    room: that of the model; camera: result of `camera_u_rel`; seed: for the random draws of errors.
+    annual: n daylight hours in d directions; uncertainty: of DGP in these hours; hours_used: number
+    of occupied hours, daylight and dark ones; room: that of the model; camera: result of
+    `camera_u_rel`; seed: for the random draws of errors.
     """
     used, azimuths, summary = annual.occupied, annual.azimuths_deg, annual.summary
+    # of the k occupied daylight hours: DGP and vertical illuminance, [k, d] each
     dgp, ev_lx, u = annual.views["dgp"][used], annual.views["ev_lx"][used], uncertainty.hours(used)
     u_rel, rng = float(np.linalg.norm(list(camera.values()))), np.random.default_rng(seed)
     rows = protection(dgp, u, hours_used, azimuths, rng, u_rel * dgp_per_scale(dgp, ev_lx))
     budgets = budget.year_budget(dgp, ev_lx, u, hours_used, azimuths, camera)
     count = int(used.sum())
+    # shares of the k hours: map not trusted; map trusted, but the interval of DGP spans the classes
     untrusted, wide = (float(hours.sum()) / max(count, 1) for hours in unsure_hours(annual, rows))
     shares: Floats | tuple[()] = ()
     if room.seen is not None:
@@ -239,8 +242,8 @@ def light_of(weather: Weather) -> Light:
 def _daylight(weather: Weather, path: Path, lamps: Occupancy | None) -> Light:
     """Return the light of the hours in which the sun is up.
 
-    path: the weather file, for the error; lamps: when lamps are on, None for as in the captures.
-    Raises NotEnoughDataError if there is no such hour.
+    path: the weather file, for the error; lamps: hours in which lamps are on; None: lamps are those
+    of unmarked captures. Raises NotEnoughDataError if there is no such hour.
     """
     hours = weather.daylight()
     if len(hours) == 0:
@@ -433,16 +436,17 @@ _UNSEEN_NOTES = {
 
 
 def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, Mask]:
-    """Return the lit occupied hours with an untrusted map, and the others with a wide interval.
+    """Return masks [n] of the occupied hours with an untrusted map, and of others with a wide DGP.
 
-    Both are masks over all hours of `annual`, [n]. rows: the protection in each direction. An
-    interval is wide if the 95 % interval of DGP is wider than 0.2 in a direction that was fully
-    seen; if none was, in any direction that has figures.
+    annual: n hours in d directions; dark hours need no test, because it has none. rows: one for
+    each direction, of which `seen` is used. DGP is wide if its 95 % interval is over 0.2 wide in a
+    direction that lenses saw fully; if they saw none fully, in one that has a DGP (at least half
+    seen). An interval that is NaN, because bounds are unknown, is not wide.
     """
     untrusted = annual.occupied & (annual.hours["trusted"] < 1)
     full = [row.seen == projection.SEEN for row in rows]
-    full = full if any(full) else annual.judged
-    gap = (annual.views["dgp_high"] - annual.views["dgp_low"])[:, full]
+    full = full if any(full) else annual.judged  # [d], the directions that decide
+    gap = (annual.views["dgp_high"] - annual.views["dgp_low"])[:, full]  # [n, at most d]
     widest = np.nan_to_num(gap).max(axis=1, initial=0.0)
     return untrusted, annual.occupied & ~untrusted & (widest > _WIDE_DGP)
 
