@@ -97,7 +97,7 @@ class MelanopicYear:
         `ev_lx` and `sun_ev_lx`; u_map_rel : relative standard uncertainty of the map's part of
         `ev_lx`; drawn_lx [m, n, d] : Ev in m draws of the sun's disc; unseen_lx : the most that the
         unseen part of the view adds to Ev. With a lamp on, the ratio of melanopic to photopic light
-        is `LAMP_RATIO` of that by colour. An hour that is not marked "lamp off" may have one.
+        is `LAMP_RATIO` of that by colour. An hour that is not marked lamp=off may have one.
         """
         by_colour, states = self.ratio(light), light.states or ("",) * len(light)
         may_be_lit = np.array([[LAMP_OFF not in text] for text in states])
