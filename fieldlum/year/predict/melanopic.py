@@ -101,8 +101,8 @@ class MelanopicYear:
         """
         by_colour, states = self.ratio(light), light.states or ("",) * len(light)
         may_be_lit = np.array([[LAMP_OFF not in text] for text in states])
-        # 0.0, so that only the unknown spectrum of lamps counts here: the uncertainty under daylight
-        # (fit and camera, `self.u_rel`) is added below.
+        # 0.0, so that only the unknown spectrum of lamps counts here: the uncertainty under
+        # daylight (fit and camera, `self.u_rel`) is added below.
         u_lamp_rel = melanopic.ratio_u_rel(by_colour, u_rel=0.0) * may_be_lit
         ratio = by_colour * np.where(_lit(light), melanopic.LAMP_RATIO, 1.0)
         of_map = (views["ev_lx"] - views["sun_ev_lx"]) * ratio
