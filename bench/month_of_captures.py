@@ -24,8 +24,7 @@ import numpy as np
 
 from fieldlum.core.records import Slot
 from fieldlum.learn import models, train
-from fieldlum.learn.models import camera_turns
-from fieldlum.learn.models.training_data import load_pairs
+from fieldlum.learn.models import training_data
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -68,8 +67,8 @@ def measure(out: Path, count: int) -> None:
 
         return run
 
-    camera_turns.camera_turns = timed("turns", camera_turns.camera_turns)
-    data = timed("read", load_pairs)(path)
+    training_data.camera_turns = timed("turns", training_data.camera_turns)
+    data = timed("read", training_data.load_pairs)(path)
     timed("fit", models.fit)("transport", data)
     wall = time.monotonic()
     timed("train", train.run)(data, "transport", budget_min=5.0, out=out / f"model-{count}")
