@@ -658,6 +658,35 @@ def test_few_captures_leave_open_what_many_decide() -> None:
 
 
 @pytest.mark.analytic
+def test_captures_with_the_sun_behind_the_camera_do_not_tell_a_facade_from_sky() -> None:
+    """Sky, and a sunlit facade; the sun is in the south, the camera looks north or south."""
+
+    def view_of(heading_deg: float, rows: Indices) -> SkyView:
+        grid = replace(GRID, heading_deg=heading_deg)
+        sky = LIGHT.sky_at(grid.rays().reshape(-1, 3)).reshape(-1, 32, 32) * _clouds()
+        facade = 0.25 * sky + 0.3 * LIGHT.direct_lx[:, None, None] / np.pi
+        column = np.arange(32)
+        pictures = np.where(column < 15, 0.8 * sky, np.where(column < 18, 0.1 * _shade(), facade))
+
+        def read(k: int) -> SkyPicture:
+            return SkyPicture(pictures[k].astype(np.float32), np.zeros((32, 32), bool), grid)
+
+        captured = Captured(LIGHT, read, np.full(len(LIGHT), np.nan))
+        return estimate(captured.take(rows.tolist()))
+
+    clear = np.flatnonzero(LIGHT.direct_lx > 20_000.0)
+    behind = view_of(0.0, clear)
+    assert (behind.low == 0.0).all()
+    assert np.median(behind.high[6:26, 2:13]) > 0.5 and np.median(behind.high[6:26, 20:30]) > 0.5
+    note = "no clear capture has the sun in front of the window"
+    assert note in " ".join(behind.notes)
+    overcast = np.flatnonzero(LIGHT.direct_lx < 1.0)
+    for view in (view_of(180.0, clear), view_of(0.0, overcast)):
+        assert note not in " ".join(view.notes)
+        assert np.median(view.low[6:26, 2:13]) > 0.2
+
+
+@pytest.mark.analytic
 def test_few_captures_give_bounds_and_say_what_to_capture() -> None:
     light, pictures = LIGHT[[0, 5, 9]], _pictures(np.ones((32, 32)))[[0, 5, 9]]
     clipped = np.zeros((32, 32), bool)

@@ -28,6 +28,7 @@ from fieldlum.sky.sky_view.sky_directions import (
     BEAM_LX,
     MIN_CAPTURES,
     SOME,
+    STRONG_BEAM_LX,
     Followed,
     SkyReference,
     away_from_sun,
@@ -67,6 +68,10 @@ _FEW_CAPTURES = 12
 # docs/sky-view.md, but do not follow the sky; a darker pane has bounds); of what scatters; and of
 # what may be sky behind glass. Chosen.
 _PANE_SHARE, _SCATTER_SHARE, _BRIGHT_SHARE = 0.05, 0.15, 0.3
+# The same for what may be sky if every clear capture has the sun behind the camera: a sunlit facade
+# then follows the sky as well as sky does. Chosen by draws of such captures in nine rooms
+# (docs/validation.md).
+_DIM_SHARE = 0.1
 # What scatters is brighter by this logarithm with the sun behind it: a curtain by 1.1, a facade by
 # less than 0.6.
 _FORWARD_SCATTER = 0.6
@@ -287,7 +292,8 @@ class _Decided:
     Masks [h, w] of directions: sky, whose luminance follows the sky's; bright, which may be sky but
     follow it no better than other light; scatters, behind a curtain or fabric; changes, open in one
     season and shut in another (None before seasons are compared). reference: the sky in view;
-    seasons: views that hold only near their days.
+    is_behind: whether the sun is behind the camera in all clear captures; seasons: views that hold
+    only near their days.
     """
 
     view: SkyView
@@ -295,6 +301,7 @@ class _Decided:
     bright: Mask
     scatters: Mask
     reference: SkyReference
+    is_behind: bool
     changes: Mask | None = None
     seasons: tuple[SkyView, ...] = ()
 
@@ -313,17 +320,26 @@ def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = N
     pane = np.minimum(pane_transmittance(ratio, sky, stack.grid.step_deg), 1.0)
     openness, u, mixed = _openness(stack, rays, reference, ratio, sky, pane)
     low, high = _bounds(openness, u, mixed, pane, stack.grid.step_deg)
-    apart = ~sky & ~mixed & (stack.placed(_sun_passes(rays, stack.latitude_deg, pose)) > 0.0)
+    passes = stack.placed(_sun_passes(rays, stack.latitude_deg, pose)) > 0.0
+    apart = ~sky & ~mixed & passes
     # slats that are finer than a pixel show a disc at some heights of the sun: until there is more
     # evidence, between none and the disc without them
     slats = apart & (stack.usually > 0.0) & (ratio > _PANE_SHARE)
     high = np.where(slats, np.maximum(high, stack.usually), high)
     doubt = 1.0 + _FEW_CAPTURES / np.maximum(followed.count, 1.0)  # 1 with very many captures
     scatters, bright = _undecided(followed, brightest, apart & ~slats, doubt)
+    dim = ratio > _DIM_SHARE * np.fmin(brightest, 1.0)
+    in_window = (sky | dim) & passes
+    # `forward` is NaN where no capture has a strong sun in front; the spread is robust against a
+    # sixth of the captures at either end
+    unlit = np.isnan(followed.forward[in_window])
+    clear = (stack.light.direct_lx > STRONG_BEAM_LX).mean()
+    is_behind = unlit.any() and bool(unlit.mean() > 0.5 and clear > 0.25)
+    bright |= apart & ~slats & dim & is_behind
     few = followed.count < MIN_CAPTURES
     undecided = scatters | bright | few
     widest = np.clip(1.3 * doubt * ratio, high, 1.0)  # with a margin of 30 %
-    low, high = np.where(few, 0.0, low), np.where(undecided, widest, high)
+    low, high = np.where(few | is_behind, 0.0, low), np.where(undecided, widest, high)
     u = np.where(undecided | slats, np.fmax(u, (high - low) / UNIFORM_SDS), u)
     channels: dict[str, Any] = {
         "openness": openness,
@@ -337,7 +353,7 @@ def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = N
     for name, values in channels.items():
         channels[name] = np.where(not_seen, np.nan, values).astype(np.float32)
     view = SkyView(stack.grid, captures=len(stack.light), pose=pose, **channels)
-    return _Decided(view, sky, bright, scatters, reference)
+    return _Decided(view, sky, bright, scatters, reference, is_behind)
 
 
 def _openness(
@@ -570,6 +586,11 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
             f"{captures} captures give a first look at where the sky is, and bounds of the sun's "
             f"disc may be wrong; capture {_FEW_CAPTURES} or more hours, overcast and clear, with "
             "the sun in front of the window and behind it"
+        )
+    if decided.is_behind:
+        notes.append(
+            "no clear capture has the sun in front of the window, and a sunlit facade looks like "
+            "sky: no disc is certain; capture a clear hour with the sun in front, or overcast hours"
         )
     if not sky.any() and decided.bright.any():
         notes.append(

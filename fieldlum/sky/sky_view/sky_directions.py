@@ -21,6 +21,7 @@ from fieldlum.sky.daylight import Light
 # modelled well there (Perez's gradation is steep within 10 degrees).
 _NEAR_SUN_DEG = 10.0
 BEAM_LX = 1000.0  # a weaker beam shows no disc and has no bright region around it; chosen
+STRONG_BEAM_LX = 10.0 * BEAM_LX  # lights a facade more than an overcast sky does; chosen
 # Spread of the logarithm of a real sky over Perez's (Perez et al. 1993: 10 to 40 % by type of sky).
 _MAX_SKY_SPREAD = 0.45
 # Directions of the reference have less than this spread, over their spread against other light. In
@@ -226,7 +227,7 @@ def _forward(measured: Floats32, light: Light, rays: Floats) -> Floats:
     by_diffuse = measured - np.log(light.diffuse_lx)[:, None]
     azimuths = rays[:, :2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)[:, None]  # [p, 2]
     in_front = light.sun_direction[:, :2] @ azimuths.T > 0.3
-    in_front &= (light.direct_lx > 10.0 * BEAM_LX)[:, None]
+    in_front &= (light.direct_lx > STRONG_BEAM_LX)[:, None]
     with_sun, _ = _level_spread(np.where(in_front, by_diffuse, np.nan))
     without_sun, _ = _level_spread(np.where(in_front, np.nan, by_diffuse))
     return with_sun - without_sun
