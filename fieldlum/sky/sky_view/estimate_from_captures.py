@@ -334,7 +334,7 @@ def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = N
     # sixth of the captures at either end
     unlit = np.isnan(followed.forward[in_window])
     clear = (stack.light.direct_lx > STRONG_BEAM_LX).mean()
-    is_behind = unlit.any() and bool(unlit.mean() > 0.5 and clear > 0.25)
+    is_behind = bool(unlit.any() and unlit.mean() > 0.5 and clear > 0.25)
     bright |= apart & ~slats & dim & is_behind
     few = followed.count < MIN_CAPTURES
     undecided = scatters | bright | few
