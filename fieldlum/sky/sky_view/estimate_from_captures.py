@@ -36,6 +36,7 @@ from fieldlum.sky.sky_view.sky_directions import (
     follow,
     sky_reference,
     sky_share,
+    sun_in_front,
 )
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import (
@@ -68,9 +69,9 @@ _FEW_CAPTURES = 12
 # docs/sky-view.md, but do not follow the sky; a darker pane has bounds); of what scatters; and of
 # what may be sky behind glass. Chosen.
 _PANE_SHARE, _SCATTER_SHARE, _BRIGHT_SHARE = 0.05, 0.15, 0.3
-# The same for what may be sky if every clear capture has the sun behind the camera: a sunlit facade
-# then follows the sky as well as sky does. Chosen by draws of such captures in nine rooms
-# (docs/validation.md).
+# The same for what may be sky if no clear capture has the sun in front of the window: a sunlit
+# facade then follows the sky as well as sky does. Chosen by draws of such captures in nine rooms
+# (`python bench/sky_view_rooms.py OUT ROOM.toml ... --draws 2`).
 _DIM_SHARE = 0.1
 # What scatters is brighter by this logarithm with the sun behind it: a curtain by 1.1, a facade by
 # less than 0.6.
@@ -292,8 +293,8 @@ class _Decided:
     Masks [h, w] of directions: sky, whose luminance follows the sky's; bright, which may be sky but
     follow it no better than other light; scatters, behind a curtain or fabric; changes, open in one
     season and shut in another (None before seasons are compared). reference: the sky in view;
-    is_behind: whether the sun is behind the camera in all clear captures; seasons: views that hold
-    only near their days.
+    is_behind: whether no clear capture has the sun in front of most of the window; seasons: views
+    that hold only near their days.
     """
 
     view: SkyView
@@ -329,12 +330,7 @@ def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = N
     doubt = 1.0 + _FEW_CAPTURES / np.maximum(followed.count, 1.0)  # 1 with very many captures
     scatters, bright = _undecided(followed, brightest, apart & ~slats, doubt)
     dim = ratio > _DIM_SHARE * np.fmin(brightest, 1.0)
-    in_window = (sky | dim) & passes
-    # `forward` is NaN where no capture has a strong sun in front; the spread is robust against a
-    # sixth of the captures at either end
-    unlit = np.isnan(followed.forward[in_window])
-    clear = (stack.light.direct_lx > STRONG_BEAM_LX).mean()
-    is_behind = bool(unlit.any() and unlit.mean() > 0.5 and clear > 0.25)
+    is_behind = _sun_is_behind(stack.light, rays[((sky | dim) & passes)[stack.kept]])
     bright |= apart & ~slats & dim & is_behind
     few = followed.count < MIN_CAPTURES
     undecided = scatters | bright | few
@@ -394,6 +390,18 @@ def _undecided(
     if np.isnan(brightest):
         bright |= followed.ratio > _BRIGHT_SHARE
     return scatters, bright
+
+
+def _sun_is_behind(light: Light, rays: Floats) -> bool:
+    """Return whether no clear capture has the sun in front of most of the window.
+
+    light: outside at the captures; rays: directions of the window that the sun reaches [p, 3]. It
+    is False if less than a quarter of the captures are clear: the spread over all captures is
+    robust against so few.
+    """
+    clear_share = (light.direct_lx > STRONG_BEAM_LX).mean()
+    is_lit = sun_in_front(light, rays).any(axis=0)
+    return bool(len(rays) and is_lit.mean() < 0.5 and clear_share > 0.25)
 
 
 def _season(light: Light) -> Indices:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.sky.daylight import Light
 
 # Directions this close to the sun are not used: circumsolar brightness and a lens's flare are not
@@ -221,16 +221,25 @@ def _other_lx(light: Light) -> tuple[Floats, Floats]:
 def _forward(measured: Floats32, light: Light, rays: Floats) -> Floats:
     """Return ln of the factor by which p directions are brighter with the sun behind them, [p].
 
-    The luminance is relative to the diffuse light. The sun is in front of the camera if it shines
-    strongly from about the azimuth of the direction. measured: ln of luminance [n, p]; rays [p, 3].
+    The luminance is relative to the diffuse light. measured: ln of luminance [n, p]; light: outside
+    at the n captures; rays [p, 3].
     """
     by_diffuse = measured - np.log(light.diffuse_lx)[:, None]
-    azimuths = rays[:, :2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)[:, None]  # [p, 2]
-    in_front = light.sun_direction[:, :2] @ azimuths.T > 0.3
-    in_front &= (light.direct_lx > STRONG_BEAM_LX)[:, None]
+    in_front = sun_in_front(light, rays)
     with_sun, _ = _level_spread(np.where(in_front, by_diffuse, np.nan))
     without_sun, _ = _level_spread(np.where(in_front, np.nan, by_diffuse))
     return with_sun - without_sun
+
+
+def sun_in_front(light: Light, rays: Floats) -> Mask:
+    """Return whether the sun shines strongly from about the azimuth of directions, [n, p].
+
+    light: at n times; rays: unit vectors, x east, y north, z up [p, 3]. About: within 72 degrees of
+    a low sun; a high one counts only nearer, as it shines on a vertical facade at a grazing angle.
+    """
+    azimuths = rays[:, :2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)[:, None]  # [p, 2]
+    in_front = light.sun_direction[:, :2] @ azimuths.T > 0.3
+    return in_front & (light.direct_lx > STRONG_BEAM_LX)[:, None]
 
 
 def _level_spread(values: Floats | Floats32) -> tuple[Floats, Floats]:
