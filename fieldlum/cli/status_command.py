@@ -1,8 +1,14 @@
 """`fieldlum status`: show what a session has done and what is still to do."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from fieldlum.cli import terminal
 from fieldlum.cli.options import OpenSession, command_of
-from fieldlum.core.records import JsonTable
+
+if TYPE_CHECKING:
+    from fieldlum.core.records import JsonTable
 
 
 @command_of("status")

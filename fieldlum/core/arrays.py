@@ -13,7 +13,7 @@ Indices = NDArray[np.intp]
 
 
 def evenly_spread(count: int, maximum: int) -> Indices:
-    """Return at most `maximum` of the indices 0 to `count` - 1, [k], with the first and the last.
+    """Return at most `maximum` of the indices 0 to `count` - 1, [k]: the first, the last, between.
 
     The others are spread evenly between these.
     """

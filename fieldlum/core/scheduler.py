@@ -167,7 +167,7 @@ def worker_fault(error: BaseException | None) -> str:
     Such reasons are a full disk and too little memory. They contain no paths.
     """
     if isinstance(error, OSError) and error.errno in _WORKER_ERRNOS:
-        return str(error.strerror)
+        return error.strerror or "no reason stated"
     return "out of memory" if isinstance(error, MemoryError) else ""
 
 

@@ -152,7 +152,7 @@ def store_frame(path: Path, body: bytes) -> None:
 def retry(
     action: Callable[[], T], is_temporary: Callable[[Exception], bool], pause_s: float = 0.0
 ) -> T:
-    """Return the result of `action`; call it again, up to four times, after a temporary error.
+    """Return the result of `action`; call it up to four times, if an error is temporary.
 
     is_temporary: returns whether an error may not occur again, such as that of a busy device;
     pause_s: time between two calls [s]. Raises the error of the last call, or the first error that
