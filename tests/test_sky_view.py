@@ -339,6 +339,19 @@ def test_an_edge_of_sky_does_not_narrow_the_bounds_of_undecided_directions() -> 
 
 
 @pytest.mark.analytic
+def test_edges_of_sky_behind_dark_glass_are_as_sharp_as_behind_clear_glass() -> None:
+    openness = np.zeros((32, 32))
+    openness[4:28, 4:28], openness[4:28, 27:29] = 1.0, 0.5
+    fine = replace(GRID, step_deg=0.125, height=256, width=256).rays()
+    widths = []
+    for tau in (0.6, 0.15):
+        view = _view(_pictures(openness, tau, foreground=0.1 * tau * _shade()))
+        _, low, high = view.beam_shares(fine)
+        widths.append(((high - low) / tau)[:, 208:].mean())
+    assert widths[1] == pytest.approx(widths[0], rel=0.1)
+
+
+@pytest.mark.analytic
 def test_a_slanted_bar_narrower_than_a_pixel_is_not_broken() -> None:
     """In pixels of 3 degrees: half a pixel wide, it rises by a pixel in three."""
     row, column = (np.mgrid[:288, :288] + 0.5) / 24.0

@@ -317,8 +317,8 @@ def _measured_sun(
     """Return the direction of the sun disc's centre on the sensor, and the time of its frames.
 
     images, findings: merged sensor and findings of each heading; disc: as found in `panorama`. None
-    if no lens sees the disc. The time is the mean of the frames taken through a filter, if
-    they show the disc; else of the least exposed frame of each heading.
+    if no lens sees the disc. The time is the mean of the frames taken through a filter, if they
+    show the disc; else of the least exposed frame of each heading.
     """
     place = sun_on_sensor(images, disc, panorama)
     if place is None:

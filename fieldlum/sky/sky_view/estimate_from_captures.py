@@ -42,9 +42,9 @@ from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import (
     LENS_PIXEL_DEG,
     REACH_DAYS,
-    UNIFORM_SDS,
     SkyView,
     between,
+    undecided_u,
 )
 from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours, efficacy_u
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
@@ -336,7 +336,7 @@ def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = N
     undecided = scatters | bright | few
     widest = np.clip(1.3 * doubt * ratio, high, 1.0)  # with a margin of 30 %
     low, high = np.where(few | is_behind, 0.0, low), np.where(undecided, widest, high)
-    u = np.where(undecided | slats, np.fmax(u, (high - low) / UNIFORM_SDS), u)
+    u = np.where(undecided | slats, np.fmax(u, undecided_u(high - low, pane)), u)
     channels: dict[str, Any] = {
         "openness": openness,
         "u": np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0),
@@ -452,7 +452,8 @@ def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
     low = np.where(changes, np.float32(0.0), view.low)
     highest = np.clip((1.0 + 2.0 * _SCALE_SD) * stack.placed(sky), view.high, 1.0)
     high = np.where(changes, highest, view.high).astype(np.float32)
-    u = np.where(changes, np.fmax(view.u, (high - low) / UNIFORM_SDS), view.u).astype(np.float32)
+    undecided = undecided_u(high - low, view.transmittance)
+    u = np.where(changes, np.fmax(view.u, undecided), view.u).astype(np.float32)
     view, seasons = replace(view, low=low, high=high, u=u), []
     if changes.sum() < _SOME_SKY * decided.sky.sum():
         return replace(decided, view=view)

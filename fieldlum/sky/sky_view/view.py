@@ -41,9 +41,7 @@ LENS_PIXEL_DEG = 1.0  # larger pixels are means of a lens's; chosen
 _OPEN_PIXEL = 0.95  # openness of a pixel that has no edge: known to 0.05; chosen
 # A lens blurs an edge over two pixels: less open is shut, and as much less than 1 is open. Chosen.
 _LENS_BLUR = 0.2
-# Standard deviations in the width of a uniform distribution: of directions that captures leave
-# undecided; and the least width that counts. Chosen.
-UNIFORM_SDS, _MIN_WIDTH = 12**0.5, 0.02
+_MIN_WIDTH = 0.02  # of bounds that leave something open, share of the beam; chosen
 # Smoothed share of open sky from which a place counts as open in the maps best, low and high.
 # Chosen for the bounds.
 _DOUBT = (0.5, 0.75, 0.25)
@@ -215,8 +213,9 @@ class SkyView:
         maps = np.stack([self.through, self.low, self.high]).astype(np.float32)
         if factor > 1:
             # where captures left open whether the sky is seen, no edge narrows the bounds
-            undecided = self.openness < _OPEN_PIXEL
-            undecided &= self.u > 0.8 * np.fmax(self.high - self.low, _MIN_WIDTH) / UNIFORM_SDS
+            width = np.fmax(self.high - self.low, _MIN_WIDTH)
+            undecided = self.u > 0.8 * undecided_u(width, self.transmittance)
+            undecided &= self.openness < _OPEN_PIXEL
             maps = _fine_edges(maps, self.openness, undecided, factor)
         step_deg, (height, width) = self.grid.step_deg / factor, maps.shape[1:]
         return replace(self.grid, step_deg=step_deg, height=height, width=width), maps
@@ -262,6 +261,15 @@ def _content(path: Path) -> tuple[dict[str, Any], list[dict[str, Floats32]]]:
 def _layer(k: int) -> str:
     """Return the prefix of a view's channels in the file; k: 0 for the main view, others from 1."""
     return f"other{k}." if k else ""
+
+
+def undecided_u(width: Floats, transmittance: Floats) -> Floats:
+    """Return the standard uncertainty of openness where captures decide only its bounds, [h, w].
+
+    width: upper less lower bound of the share of the beam; transmittance: of the pane. The openness
+    is uniformly distributed between the bounds; the uncertainty is at most 1.
+    """
+    return np.minimum(width / np.fmax(transmittance, _MIN_WIDTH) / 12**0.5, 1.0)
 
 
 def _fine_edges(maps: Floats32, openness: Floats32, undecided: Mask, factor: int) -> Floats32:
