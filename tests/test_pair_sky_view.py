@@ -12,7 +12,7 @@ from test_sky_view import GRID, LIGHT, SITE, SKY, _at
 
 from fieldlum.core.records import Panorama, Room, SunSource, Window, slot_id
 from fieldlum.optics.images import write_panorama
-from fieldlum.pair.write_sky_view import Shown, is_outdated, shares_of_beam, write_sky_view
+from fieldlum.pair.camera_sky_view import Shown, is_outdated, shares_of_beam, write_sky_view
 from fieldlum.session import Session
 from fieldlum.sky.sky_view.picture import SkyPicture, write_sky_picture
 from fieldlum.sky.sky_view.view import SkyView

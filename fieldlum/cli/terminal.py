@@ -115,7 +115,8 @@ def is_terminal() -> bool:
 def unattended() -> Iterator[None]:
     """Let a command that runs for weeks survive a closed terminal, in a `with` block.
 
-    The command and the processes that it starts ignore SIGHUP. SIGTERM ends them like Ctrl-C.
+    The command and the processes that it starts ignore SIGHUP. SIGTERM ends the
+    command like Ctrl-C.
     """
     wanted: dict[signal.Signals, Any] = {signal.SIGTERM: signal.default_int_handler}
     if hasattr(signal, "SIGHUP"):  # not on Windows

@@ -1,8 +1,8 @@
 """Pair every panorama with its irradiance, its sun and its sun patch (`fieldlum pair`).
 
 `bracket_irradiance` computes the irradiance during the bracket, `sun_strength` the sun's
-illuminance at the lens, `sky_view` where the camera sees the sky; this file runs the stage and
-traces the sun patches.
+illuminance at the lens, `camera_sky_view` where the camera sees the sky; this file runs
+the stage and traces the sun patches.
 """
 
 from collections import Counter
@@ -20,8 +20,8 @@ from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.pair.bracket_irradiance import BracketIrradiance, irradiance_during
+from fieldlum.pair.camera_sky_view import Shown, shares_of_beam, write_sky_view
 from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured, measured_sun
-from fieldlum.pair.write_sky_view import Shown, shares_of_beam, write_sky_view
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.view import patch_rays
 from fieldlum.session import Session, marks, remove_scraps, replacing_path, sha256

@@ -169,7 +169,7 @@ def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, 
 
 
 def surface_names(room: Room, height: int, heading_deg: float) -> Array:
-    """Return what each pixel of a panorama mostly shows, [H, W]: "N wall", "floor" or "window".
+    """Return what each pixel of a panorama mostly shows, [H, W], such as "N wall".
 
     room: a box room; height: rows H, W = 2H; heading_deg: azimuth of the centre column. The name is
     empty where neither box nor opening is, and within two pixels of an opening.

@@ -20,7 +20,7 @@ from fieldlum.learn.models.camera_turns import align, camera_turns, shown_place,
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.images import PANORAMA_LINE, read_panorama
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
-from fieldlum.pair.write_sky_view import is_outdated
+from fieldlum.pair.camera_sky_view import is_outdated
 from fieldlum.room.scene.patches import sun_patches
 from fieldlum.session import Session, marks, open_session
 from fieldlum.session.codec import data_digest
@@ -429,8 +429,8 @@ def take_disc_out(
 ) -> None:
     """Remove the sun's disc from map k and sun patch k of `data`, in place.
 
-    `disc_lx` and `disc_deg` of hour k are set too; with sun patches, from the disc in the patch,
-    which has no sky around it. at: altitude and azimuth of the sun [deg], where the patch shows it;
+    `disc_lx` and `disc_deg` of hour k are set too; if its sun patch shows a disc, from that, which
+    has no sky around it. at: altitude and azimuth of the sun [deg], where the patch shows it;
     shown: altitude and azimuth at which the map, of a turned camera, shows it [deg].
     """
     assert data.disc_deg is not None

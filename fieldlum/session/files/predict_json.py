@@ -11,11 +11,12 @@ from fieldlum.session.codec import JsonFile
 class DirectionYear(Struct, frozen=True):
     """Glare of one view direction over the occupied hours.
 
-    azimuth_deg: clockwise from north. glare_class: of EN 17037, high to none; called `class` in
-    predict.json. certain: whether the 95 % interval is within one class. seen: "seen", "partly
-    seen" or "not seen", by the lenses. dgp_exceeded: DGP that is exceeded in the share `share` of
-    the hours, with its 95 % interval low to high; None: unknown. hours_over: number of hours above
-    each limit of DGP ("0.35", "0.40", "0.45"); None: unknown. sentence: the class in words.
+    azimuth_deg: clockwise from north. glare_class: of EN 17037, high to none, or not seen; called
+    `class` in predict.json. certain: whether the 95 % interval is within one class. seen: "seen",
+    "partly seen" or "not seen", by the lenses. dgp_exceeded: DGP that is exceeded in the share
+    `share` of the hours, with its 95 % interval low to high; None: unknown. hours_over: number of
+    hours above each limit of DGP ("0.35", "0.40", "0.45"); None: unknown. sentence: the class in
+    words.
     """
 
     azimuth_deg: float
@@ -49,8 +50,8 @@ class YearOccupancy(Struct, frozen=True):
 class YearWeather(Struct, frozen=True):
     """The weather of a year.
 
-    name: of its file; synthetic: whether it was computed without a file; repairs: a text on each
-    repair of the file.
+    name: of its file, or of the seed; synthetic: whether it was computed without a file; repairs: a
+    text on each repair of the file.
     """
 
     name: str = ""

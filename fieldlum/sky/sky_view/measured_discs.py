@@ -96,7 +96,7 @@ class PoseFit:
 
     @property
     def u(self) -> dict[str, float]:
-        """Standard uncertainties by the names of `NAMES`, in the unit at the end of each name."""
+        """Standard uncertainties by the names of `NAMES`, in the unit that a name ends with."""
         return dict(zip(NAMES, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
 
     def __getitem__(self, name: str) -> float:

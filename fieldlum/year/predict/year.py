@@ -18,7 +18,7 @@ from fieldlum.core.scheduler import LOCAL, Scheduler
 from fieldlum.learn.models import Fitted, load, read_config
 from fieldlum.optics import projection
 from fieldlum.optics.images import read_panorama
-from fieldlum.pair.write_sky_view import is_outdated
+from fieldlum.pair.camera_sky_view import is_outdated
 from fieldlum.session import Session, check_writable, open_session, sha256
 from fieldlum.session.codec import current_note, sealed
 from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS
