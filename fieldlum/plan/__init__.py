@@ -116,7 +116,8 @@ _NO_WINDOW = (
 def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None) -> Plan:
     """Return the plan of a set: slots, cost, coverage and warnings; write nothing.
 
-    weather: a weather year of the site, for the coverage of its daylight; the set best needs one.
+    weather: a weather year of the site, for the coverage of its daylight and the hours of
+    the set even; the set best needs one.
     Raises NotEnoughDataError if no hour of the set has the sun above the horizon, if best has no
     weather, or if even or best has weather without daylight on the days of the set; InputError for
     a profile or room that cannot be used.
@@ -212,8 +213,8 @@ def _cost_of(
     """
     headings = max(len(setup.camera.headings), 1)
     seconds = sum(bracket.seconds_per_frame + e.shutter_s for e in exposures)
-    megabytes = len(exposures) * bracket.megabytes_per_frame
-    return round(headings * seconds, 1), round(headings * megabytes, 1)
+    megabytes = headings * len(exposures) * bracket.megabytes_per_frame
+    return round(headings * seconds, 1), round(megabytes, 1)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -225,8 +226,7 @@ def run(
 ) -> tuple[Session, Plan]:
     """Write the plan that `request` describes into a new session folder; return session and plan.
 
-    out: the folder; weather: a weather year of the site, for the coverage of its daylight and for
-    the set best. Raises the errors of `make_plan` and `create_session`.
+    out: the folder; weather: of `make_plan`, a weather year of the site. Raises the errors of `make_plan` and `create_session`.
     """
     plan = make_plan(setup, request, weather)
     return create_session(out, setup, plan.slots, plan.about(request)), plan

@@ -29,7 +29,7 @@ def run(
     Return the scene and the paths of the files. out: the folder, created if needed. Centres of the
     sun's disc that merge measured are used if there are at least three. clock_sd_min: standard
     uncertainty of the captures' times. Raises InputError without a `[room]`, for one that is not a
-    box, has no window or is impossible, for captures that contradict it (`checks.check_captures`),
+    box, has no window or is impossible, for captures that contradict it (`check_captures`),
     and for a damaged sidecar; NotEnoughDataError for fewer than six captures with direct sun on a
     window. Nothing is written then.
     """
