@@ -226,7 +226,8 @@ def run(
 ) -> tuple[Session, Plan]:
     """Write the plan that `request` describes into a new session folder; return session and plan.
 
-    out: the folder; weather: of `make_plan`, a weather year of the site. Raises the errors of `make_plan` and `create_session`.
+    out: the folder; weather: a weather year of the site, as `make_plan` uses it. Raises the errors
+    of `make_plan` and `create_session`.
     """
     plan = make_plan(setup, request, weather)
     return create_session(out, setup, plan.slots, plan.about(request)), plan
