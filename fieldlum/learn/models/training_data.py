@@ -21,7 +21,7 @@ from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.images import PANORAMA_LINE, read_panorama
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.pair.camera_sky_view import is_outdated
-from fieldlum.room.scene.patches import sun_patches
+from fieldlum.room.scene.sun_patches import sun_patches
 from fieldlum.session import Session, marks, open_session
 from fieldlum.session.codec import data_digest
 from fieldlum.session.files.model_files import UsedScene

@@ -48,7 +48,7 @@ from fieldlum.learn.transport.training_arrays import (
     training_arrays_of,
 )
 from fieldlum.optics.projection import equirect_solid_angles
-from fieldlum.room.scene.patches import sun_patches
+from fieldlum.room.scene.sun_patches import sun_patches
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
