@@ -9,7 +9,7 @@ from places import SEATTLE
 
 from fieldlum.core.records import Room, Window
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.sky.daylight_kernel import (
+from fieldlum.sky.light_similarity import (
     CAPTURE_NOISE,
     Facades,
     Kernel,

@@ -15,7 +15,7 @@ from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.melanopic import LAMP_RATIO, U_SUN_RATIO, attribute_text, ratio_u_rel
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.sky.daylight_kernel import facades_of
+from fieldlum.sky.light_similarity import facades_of
 from fieldlum.year.glare.standards import year_errors
 from fieldlum.year.predict.hour_blocks import predict_figures, room_of
 from fieldlum.year.predict.melanopic import (

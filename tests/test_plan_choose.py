@@ -38,7 +38,7 @@ from fieldlum.session import Journal, create_session, open_session
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import light_at
-from fieldlum.sky.daylight_kernel import (
+from fieldlum.sky.light_similarity import (
     CAPTURE_NOISE,
     Features,
     Kernel,

@@ -18,7 +18,7 @@ from fieldlum.learn.transport.training_arrays import training_arrays_of
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.scene.view import traced_view
-from fieldlum.sky.daylight_kernel import Kernel
+from fieldlum.sky.light_similarity import Kernel
 
 SHAPE = (4, 8)
 

@@ -33,7 +33,7 @@ from fieldlum.learn.transport.training_arrays import computed_light, training_ar
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.session.files.model_files import UsedScene
 from fieldlum.sky.daylight import light_at
-from fieldlum.sky.daylight_kernel import Kernel
+from fieldlum.sky.light_similarity import Kernel
 from fieldlum.sky.perez import reinhart_patches
 
 SETUP = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0))

@@ -21,7 +21,7 @@ from fieldlum.room.fit.misplaced_patches import misplacement_of, warnings_of
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import light_at
-from fieldlum.sky.daylight_kernel import light_features
+from fieldlum.sky.light_similarity import light_features
 from fieldlum.weather import Weather
 
 SETUP = load_site(shipped("capture_plans") / "seattle-office.toml")

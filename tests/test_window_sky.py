@@ -16,7 +16,7 @@ from fieldlum.learn.transport.training_arrays import pixel_scale, seen_sky, trai
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.sky.daylight_kernel import light_features
+from fieldlum.sky.light_similarity import light_features
 from fieldlum.sky.perez import reinhart_patches
 
 SITE = Site("Test room", 47.6, -122.3, "America/Los_Angeles")

@@ -18,7 +18,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Site, Slot
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import light_at
-from fieldlum.sky.daylight_kernel import Kernel, facades_of, greedy_hours, light_features
+from fieldlum.sky.light_similarity import Kernel, facades_of, greedy_hours, light_features
 from fieldlum.weather import Weather
 
 # Sets of docs/planning.md: sets of hours; and by name of sets of days their seasons (indices of

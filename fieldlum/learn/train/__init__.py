@@ -39,7 +39,7 @@ from fieldlum.room.fit.misplaced_patches import misplacement_of, warnings_of
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.codec import current_note, data_digest, digest
 from fieldlum.session.files.model_files import ScoreRow, ScoresFile, TrainAnswer
-from fieldlum.sky.daylight_kernel import light_features
+from fieldlum.sky.light_similarity import light_features
 from fieldlum.version import __version__
 
 POOR_MSE = 0.02  # log10, a factor of 1.4: a steady room with correct irradiance stays below

@@ -26,7 +26,7 @@ from fieldlum.learn.transport.training_arrays import (
     training_arrays_of,
 )
 from fieldlum.sky import sun
-from fieldlum.sky.daylight_kernel import LAMP_LX, Kernel
+from fieldlum.sky.light_similarity import LAMP_LX, Kernel
 
 MIN_DAYS = 4  # with fewer days it is unclear which day is the exception
 _HEIGHT, _PIXELS = 20, 200  # rows of the maps that are compared, and number of drawn pixels

@@ -52,7 +52,7 @@ from fieldlum.room.scene.sun_patches import sun_patches
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.daylight_kernel import Features, Kernel
+from fieldlum.sky.light_similarity import Features, Kernel
 
 # Number of pixels, drawn by solid angle, that choose inputs and noise, and that calibrate the
 # uncertainty. Not measured.

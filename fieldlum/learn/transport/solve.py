@@ -24,7 +24,7 @@ from fieldlum.core.arrays import Array, Floats, Floats32, Indices
 from fieldlum.core.statistics import cauchy_weights, nan_percentiles
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, beam_variance, weight_of_variance
 from fieldlum.learn.transport.training_arrays import MIN_CDM2, TrainingArrays, pixel_scale
-from fieldlum.sky.daylight_kernel import Features
+from fieldlum.sky.light_similarity import Features
 
 RANK = 100  # number of features; chosen, limits memory and time
 # Prior variances of the gains of computed light (next to its level in the captures), sun patch and

@@ -20,7 +20,7 @@ from fieldlum.core.statistics import nan_percentiles
 from fieldlum.learn.models.held_out_choice import light_variance, weight_of_variance
 from fieldlum.optics.projection import equirect_rays, equirect_solid_angles
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.daylight_kernel import LAMP_LX, Facades, Features, facades_of, light_features
+from fieldlum.sky.light_similarity import LAMP_LX, Facades, Features, facades_of, light_features
 from fieldlum.sky.perez import reinhart_patches
 
 if TYPE_CHECKING:

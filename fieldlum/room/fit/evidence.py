@@ -25,7 +25,7 @@ from fieldlum.room.fit.sunny_hours import (
 from fieldlum.room.scene.box_room import is_box_with_window
 from fieldlum.room.scene.view import pixel_rays
 from fieldlum.sky import sun
-from fieldlum.sky.daylight_kernel import Kernel, facades_of, light_features
+from fieldlum.sky.light_similarity import Kernel, facades_of, light_features
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.training_data import Dataset

@@ -5,7 +5,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.records import Room
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.sky.daylight_kernel import facades_of
+from fieldlum.sky.light_similarity import facades_of
 
 # Least number of sunny hours: with every third held out, four hours are left to fit. Chosen.
 MIN_SUNNY_HOURS = 6

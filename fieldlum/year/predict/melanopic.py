@@ -23,9 +23,9 @@ from fieldlum.learn.models.training_data import states_of
 from fieldlum.optics import melanopic
 from fieldlum.optics.images import read_panorama
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
-from fieldlum.sky import daylight_kernel
+from fieldlum.sky import light_similarity
 from fieldlum.sky.daylight import MIN_LX, Light, light_at
-from fieldlum.sky.daylight_kernel import LAMP_LX, Facades, Features, Kernel
+from fieldlum.sky.light_similarity import LAMP_LX, Facades, Features, Kernel
 from fieldlum.sky.sun import horizontal_beam, standard_time
 from fieldlum.year.glare import uncertainty_budget as budget
 from fieldlum.year.glare.metrics import map_ev_lx
@@ -132,7 +132,7 @@ def _lit(light: Light) -> Mask:
 def _features(light: Light) -> Features:
     """Return the features of n hours for the kernel, with the one of lamps."""
     lamps = _lit(light) * (LAMP_LX / light.total_lx)[:, None]
-    return replace(daylight_kernel.light_features(light), lamps=lamps)
+    return replace(light_similarity.light_features(light), lamps=lamps)
 
 
 def _parts(light: Light, sun_share: Floats, lamp_share: Floats) -> Floats:
@@ -243,7 +243,7 @@ def year_of_captures(
     light = replace(light, states=states_of(pairs, rows))
     ev_lx, edi_lx = np.moveaxis(np.array(eye_lx), 1, 0)
     u_parts_rel = {**u_camera_rel, "melanopic weight": u_rel}
-    facades = daylight_kernel.facades_of(room.setup.room)
+    facades = light_similarity.facades_of(room.setup.room)
     return fit_year(light, np.maximum(ev_lx, MIN_LX), edi_lx, u_parts_rel, facades)
 
 
