@@ -15,7 +15,7 @@ from fieldlum.optics.images import RADIANCE_LM_PER_W
 from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import equirect_pixel
 from fieldlum.room import scene
-from fieldlum.room.scene import box_room, patches, radiance, view
+from fieldlum.room.scene import box_room, radiance, view
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 
@@ -224,7 +224,7 @@ def test_one_hour_equals_that_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
     suns = sun.direction(np.linspace(5, 60, 7), np.linspace(120, 240, 7))
     lx = np.linspace(0, 6e4, 7)
     whole = scene.sun_patches(CORNER, suns, lx, height=12, heading_deg=150.0)
-    monkeypatch.setattr(patches, "_HOURS", 3)
+    monkeypatch.setitem(scene.sun_patches.__globals__, "_HOURS", 3)  # of its module
     parts = scene.sun_patches(CORNER, suns, lx, height=12, heading_deg=150.0)
     assert np.array_equal(parts, whole) and whole[0].max() == 0 < whole[1:].max()
     for k in range(7):  # pair computes the slots that lack a patch, whichever they are
