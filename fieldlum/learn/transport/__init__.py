@@ -212,7 +212,7 @@ class Transport:
         return sd, expected, variance <= 1.5 * calibrated.novelty
 
     def state(self) -> ModelState:
-        """Return settings for config.json and plain arrays for weights.npz."""
+        """Return settings for config.json and plain arrays for weights.npz (`state_of`)."""
         return state_of(self, self.patch_scale is not None)
 
 
@@ -240,11 +240,12 @@ class MeanTransport:
         return self.fitted.parameters + self.stated.parameters
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
-        """Predict luminance maps [n, H, W] cd/m2 of the n hours of `light`.
+        """Predict luminance maps [n, H, W] cd/m2 of the n hours of `light`, with the sd of log10 L.
 
-        patch_cdm2 [n, H, W]: luminance of direct sun on the surfaces of the fitted scene; the
-        patches of the stated room are computed. Raises InputError for required patches that are
-        missing or of another shape.
+        Maps are geometric means of those of the two models, without the sun's disc; trusted hours
+        are those of `fitted`. patch_cdm2 [n, H, W] cd/m2: luminance of direct sun on the surfaces
+        of the fitted scene; the patches of the stated room are computed. Raises InputError for
+        required patches that are missing or of another shape.
         """
         fitted = self.fitted.predict(light, patch_cdm2)
         stated = self.stated.predict(light, self._stated_patches(light))
@@ -276,14 +277,15 @@ class MeanTransport:
             return sun_patches(room, suns, lx, height=height, heading_deg=heading_deg)
 
     def state(self) -> ModelState:
-        """Return settings for config.json and plain arrays for weights.npz."""
+        """Return settings for config.json and plain arrays for weights.npz (`state_of`)."""
         return state_of(self, True)
 
 
 def from_state(state: ModelState) -> Transport | MeanTransport:
     """Return the model that `Transport.state` or `MeanTransport.state` described.
 
-    Raises KeyError, TypeError or ValueError for missing or wrong content.
+    Raises KeyError, TypeError or ValueError for missing or wrong content. Shapes of arrays are not
+    checked.
     """
     table = state.config["transport"]
     kind = MeanTransport if "fitted" in table else Transport
@@ -315,7 +317,8 @@ def fit(data: Dataset, *, patch: Patch = "absolute", seed: int = 0) -> Transport
     is fitted, so that "absolute" (patches in cd/m2) and "gain" (patches known up to a factor) give
     the same model. With a fitted scene the model is a mean, because a scene is wrong in places. A
     stated room that captures clearly contradict is not used. seed: of the random draw of pixels
-    that choose inputs and noise. Raises NotEnoughDataError for fewer than three captures.
+    that choose inputs and noise. Raises NotEnoughDataError for fewer than three captures,
+    InputError for an impossible room.
     """
     stated = None if patch == "none" else _as_stated(data)
     if stated is None:
@@ -592,8 +595,8 @@ class Uncertainty:
     """The uncertainty of a model's predictions, calibrated on n captures with held-out days.
 
     inverse, second: inverse of the captures' covariance plus noise, in the first and in the second
-    stage [n, n]; novelty: largest predictive variance of a capture with its day held out; patch:
-    relative standard deviation of a sun patch; band: factor on all standard deviations, so that
+    stage [n, n]; novelty: largest `variance` of a capture with its day held out; patch: relative
+    standard deviation of a sun patch; band: factor on all standard deviations, so that
     1.645 of them on each side contain 90 % of the held-out errors; careful: True if errors grow
     away from captures by more than the variance shows: without sun patches, or with those of a
     stated or fitted room, which are wrong in places. In each of k tests a captured hour was

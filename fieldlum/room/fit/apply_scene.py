@@ -109,12 +109,14 @@ def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:
 def apply_scene(data: Dataset, pairs: Path, option: str, patch: str) -> tuple[Dataset, str]:
     """Return the captures as the option ``--scene`` demands, and the patch mode for training.
 
-    option: a folder with scene.toml; "none" to ignore any scene; empty for the folder scene/ next
-    to the csv `pairs`, if it has a scene.toml. A scene is applied by `with_scene`. patch: the
-    requested mode; it is returned unchanged, except "none" if the scene chose no patches. Without a
-    scene, patches are computed for captures that have none, if the site has a `[room]` with windows
-    and `patch` is not "none". Raises InputError for a scene.toml that is missing or invalid, for
-    captures whose heading or room differ from those of the fit, and for an impossible room.
+    pairs: the pairs.csv of the captures, or its session's folder. option: a folder with scene.toml;
+    "none" to ignore any scene; empty for the folder scene/ next to the csv (in the session), if it
+    has a scene.toml. A scene is applied by `with_scene`, and its verdict is added to the notes.
+    patch: the requested mode ("absolute", "gain" or "none"); it is returned unchanged, except
+    "none" if the scene chose no patches. Without a scene, patches are computed for captures that
+    have none, if the site has a `[room]` with windows and `patch` is not "none". Raises InputError
+    for a scene.toml that is missing or invalid, for captures whose heading or room differ from
+    those of the fit, and for an impossible room.
     """
     session = pairs if pairs.is_dir() else pairs.parent
     folder = Path(option or session / "scene")

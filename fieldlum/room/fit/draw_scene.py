@@ -22,7 +22,9 @@ def draw(folder: Path, data: Dataset, scene: Scene) -> list[Path]:
     """Write overlay.png and plan.svg into a folder and return their paths.
 
     overlay.png: edges of fitted and stated patches over up to four captures; plan.svg: the fitted
-    room from above. The folder is created; existing files are replaced.
+    room from above. The folder is created; existing files are replaced. data: the captures of the
+    fit; scene: its `chosen` must be "fitted", as `fit_scene` returns it. Matplotlib's backend
+    becomes Agg. Raises InputError as `with_scene`.
     """
     import matplotlib as mpl
 

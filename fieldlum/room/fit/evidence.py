@@ -59,11 +59,12 @@ class SceneEvidence:
     """Captured light of n sunny hours at m sampled pixels, with which guesses are compared.
 
     log_seen [n, m]: ln of the captured luminance, cd/m2; below [n, m]: luminance estimated without
-    direct sun, cd/m2; direct_lx [n]: of the sun, on a plane normal to it; rays [r, 3]: sub x sub in
-    each pixel, x east, y north, z up by the stated heading; pixel [r]: index below m of each ray;
-    days [n]; clock [41, n, 2]: altitude and azimuth of the sun, deg, if the stated time were -20,
-    -19 ... 20 min after the true time; rows [n]: indices of the hours in the captures; pixels [m]:
-    flat indices in the panorama; spread: angle between neighbouring rays [rad].
+    direct sun, cd/m2; direct_lx [n]: of the sun, on a plane normal to it; rays [r, 3]: unit
+    vectors, sub x sub in each pixel, x east, y north, z up by the stated heading; pixel [r]: for
+    each ray, the index in `pixels` of its pixel; days [n]: local dates; clock [41, n, 2]: altitude
+    and azimuth (clockwise from north) of the sun, deg, if the stated time were -20, -19 ... 20 min
+    after the true time; rows [n]: indices of the hours in the captures; pixels [m]: flat indices in
+    the panorama; spread: angle between neighbouring rays [rad].
     """
 
     log_seen: Floats
@@ -82,9 +83,9 @@ class SceneEvidence:
         return len(self.rows)
 
     def coarse(self) -> SceneEvidence:
-        """Return the evidence of about `COARSE_PIXELS` pixels, evenly from all.
+        """Return the evidence of about `COARSE_PIXELS` (1 000) pixels, evenly from all.
 
-        With under 1.5 times as many it is unchanged.
+        Evidence with under 1.5 times as many pixels is returned unchanged.
         """
         every = max(1, round(len(self.pixels) / COARSE_PIXELS))
         keep = np.arange(0, len(self.pixels), every)
@@ -99,7 +100,11 @@ class SceneEvidence:
         )
 
     def suns_room(self, guess: Guess) -> Floats32:
-        """Return unit vectors to the sun in room axes, by the guess's north and clock, [n, 3]."""
+        """Return unit vectors to the sun in room axes, by the guess's north and clock, [n, 3].
+
+        Room axes: `fieldlum.room.fit.guess`. Between full minutes of the clock, and beyond 20, the
+        sun's angles are linear in time.
+        """
         minutes = guess.clock_min + _CLOCK_REACH_MIN  # after the first row of `clock`
         row = int(np.clip(np.floor(minutes), 0, len(self.clock) - 2))
         share = minutes - row
@@ -129,7 +134,8 @@ class SceneEvidence:
     def relit(self, data: Dataset, patch: Floats) -> SceneEvidence:
         """Return the evidence with `below`, the light without direct sun, estimated again.
 
-        data: all captures; patch: luminance of sun patches, which is subtracted, cd/m2 [n, m].
+        data: all captures; patch: luminance of sun patches, which is subtracted, except where it is
+        above the captured luminance, cd/m2 [n, m].
         """
         flat = data.luminance_cdm2.reshape(len(data), -1)[:, self.pixels]
         seen = np.maximum(flat, MIN_CDM2)
@@ -206,10 +212,10 @@ def scene_evidence(
 ) -> SceneEvidence:
     """Collect sunny hours, sampled pixels and the light without direct sun from captures.
 
-    Hours are those of `sunny_hours`, at most the 60 with most direct sun. room: the stated box;
-    pixels: number of pixels to draw, by solid angle, outside the windows. Raises InputError for a
-    room that is not a box, has no window or is impossible, NotEnoughDataError for fewer than
-    `min_hours` hours.
+    Hours are those of `sunny_hours`, at most the 60 with most direct sun on a window. room: the
+    stated box; pixels: number of pixels to draw, by solid angle, at least 4 degrees outside the
+    windows. Raises InputError for a room that is not a box, has no window or is impossible,
+    NotEnoughDataError for fewer than `min_hours` hours.
     """
     require_box(room)
     guess = guess_of(room, data.heading_deg)
@@ -306,12 +312,12 @@ _PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light
 def indirect_component(data: Dataset, seen: Floats, patch: Floats) -> Floats:
     """Estimate the luminance that m pixels would show in n captures without direct sun on them.
 
-    data: the captures, for their light and room; seen: captured luminance; patch: luminance of
+    data: the n captures, for their light and room; seen: captured luminance; patch: luminance of
     known sun patches, which is subtracted, and values that it dominates count less; each and the
-    result cd/m2 [n, m], at least 0.1. Light of sky and sun that changes smoothly between hours has
-    few features: the 15 eigenvectors of the kernel with the largest eigenvalues, and 1. Each pixel
-    is fitted by ridge regression on them, in rounds that reduce the weight of values brighter than
-    the fit, because a sun patch only adds light.
+    result cd/m2 [n, m], `seen` and the result at least 0.1. Own method: light of sky and sun that
+    changes smoothly between hours has few features, the 15 eigenvectors of the kernel (`Kernel`)
+    with the largest eigenvalues, and 1. Each pixel is fitted by ridge regression on them, in rounds
+    that reduce the weight of values brighter than the fit, because a sun patch only adds light.
     """
     features = light_features(data.light)
     kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
@@ -360,8 +366,8 @@ def levelled(below: Floats, seen: Floats, patch: Floats, directions: Floats) -> 
     below: luminance estimated without direct sun; seen: captured; patch: of known sun patches; each
     [n, m] cd/m2; directions: unit vectors to the pixels [m, 3]. The features behind `below` do not
     determine how bright the room is under a sun that no other hour has. Therefore the logarithm of
-    each hour is corrected by nine smooth functions of the direction, in rounds that reduce the
-    weight of pixels brighter than the fit.
+    each hour is corrected by the nine polynomials of the direction up to the second order, in
+    rounds that reduce the weight of pixels brighter than the fit. Own method.
     """
     x, y, z = directions.T
     terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x, z * z], axis=1)

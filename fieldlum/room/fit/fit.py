@@ -52,12 +52,13 @@ def fit_scene(
 ) -> Scene:
     """Find the scene that explains the sun patches of the captures, starting from the stated box.
 
-    Return it with chosen "fitted", an empty verdict, and the mean of `SceneEvidence.misfit`. pose:
-    camera pose and clock from the sun's discs, if any. clock_sd_min: standard uncertainty of the
-    stated times; it is ignored with `pose`, which includes it. pixels: number to sample. Captures
-    of a changed room, as with a lamp or a blind, hardly move the robust search. Raises InputError
-    for a room that is not a box, has no window or is impossible, NotEnoughDataError for fewer than
-    six captures with direct sun on a window.
+    Return it with chosen "fitted", an empty verdict, and the misfits of `SceneSearch.misfit`;
+    `fieldlum.room.fit.stage.judged_scene` sets the verdict. pose: camera pose and clock from the
+    sun's discs, if any. clock_sd_min: standard uncertainty of the stated times; it is ignored with
+    `pose`, which includes it. pixels: number to sample. Captures of a changed room, as with a lamp
+    or a blind, hardly move the robust search. Raises InputError for a room that is not a box, has
+    no window or is impossible, NotEnoughDataError for fewer than six captures with direct sun on a
+    window.
     """
     with threadpool_limits(1, user_api="blas"):
         progress(0, 100, "light below the patches")
@@ -88,9 +89,10 @@ class SceneSearch:
     """State of one fit: the present guess, and the evidence and albedos that belong to it.
 
     data, room: captures and stated box. pose: pose and clock by sun discs, None without. start: the
-    stated box as a guess.
-    parameters: those of the room, which have a prior. albedo: of west, east, south and north wall,
-    floor and ceiling [6]. unit: cost of one standard deviation of one parameter.
+    stated box as a guess. guess: the present one. evidence: with the light without direct sun that
+    was estimated with its patches. parameters: those of the room, which have a prior. albedo: of
+    west, east, south and north wall, floor and ceiling [6]. unit: cost of one standard deviation of
+    one parameter.
     """
 
     def __init__(
@@ -105,8 +107,8 @@ class SceneSearch:
         """Prepare the search for a room.
 
         clock_sd_min: standard uncertainty of the stated times, not used with `pose`; pixels: number
-        to sample. Raises NotEnoughDataError for fewer than `min_hours` captures with direct sun on
-        a window.
+        to sample. Raises InputError for a room that is not a box, has no window or is impossible,
+        NotEnoughDataError for fewer than `min_hours` captures with direct sun on a window.
         """
         self.data, self.room, self.pose = data, room, pose
         self.evidence = scene_evidence(data, room, pixels=pixels, min_hours=min_hours)
@@ -116,7 +118,7 @@ class SceneSearch:
         self.unit = prior_unit(self.evidence, self.start, self.albedo)
 
     def cost(self, *, coarse: bool = False) -> SceneCost:
-        """Return the cost function of guesses; coarse: at fewer pixels, for speed."""
+        """Return the cost function of guesses; coarse: at about 1 000 pixels, for speed."""
         evidence = self.evidence.coarse() if coarse else self.evidence
         return SceneCost(evidence, self.start, self.parameters, self.albedo, self.unit, self.pose)
 
@@ -219,7 +221,8 @@ class SceneSearch:
     def uncertainties(self) -> dict[str, float]:
         """Return standard uncertainties after `run`, by `Parameter.name`, in parameters' units.
 
-        Those of the search are multiplied by up to `MODEL_ERROR`, but not beyond the stated ones.
+        Those of the search are multiplied by up to `MODEL_ERROR` (4), but not beyond those of the
+        stated numbers (`Parameter.sd`).
         """
         own = np.sqrt(np.diag(covariance(self.cost(), self.guess, self.parameters)))  # in steps
         stated = np.array([p.sd / p.step for p in self.parameters])

@@ -22,7 +22,7 @@ _THIN_SOLID_M, _THIN_BAR_M = 0.04, 0.01
 class WindowRect:
     """A window's opening: its extent along the wall (u_m) and in height (z_m), in room axes.
 
-    u is x in the "south" and "north" walls and y in the others.
+    u is x in the "south" and "north" walls and y in the others. transmittance: of the glass.
     """
 
     wall: Literal["south", "west", "north", "east"]
@@ -62,11 +62,11 @@ class Guess:
     """One possible scene: a box room with windows, bars and solids, the camera, and the clock.
 
     size_m: x, y, z; camera_m: its place in room axes, x along the "south" wall, y away from it, z
-    up. wall_azimuth_deg: of the south wall's outward normal, by the stated north. thickness_m: of
-    the walls. north_deg: room and camera are turned further clockwise than stated by this angle.
-    clock_min: how much later the stated times are than the true ones. tilt_deg: how far the
-    picture's centre, at the stated azimuth axis_deg, points up. roll_deg: how far the picture's
-    right-hand side is low.
+    up. wall_azimuth_deg: of the south wall's outward normal, clockwise from the stated north.
+    thickness_m: of the walls. north_deg: room and camera are turned further clockwise than stated
+    by this angle. clock_min: how much later the stated times are than the true ones. axis_deg:
+    azimuth of the picture's centre, clockwise from the stated north. tilt_deg: how far this centre
+    points up. roll_deg: how far the picture's right-hand side is low.
     """
 
     size_m: tuple[float, float, float]
@@ -101,7 +101,10 @@ class Guess:
 
 
 def is_possible(guess: Guess) -> bool:
-    """Return whether the camera is in the room and in no solid, and every size is above 0."""
+    """Return whether the camera is in the room and in no solid.
+
+    The sizes of windows, bars and solids must be above 0, too.
+    """
 
     def holds_camera(low: Sequence[float], high: Sequence[float]) -> bool:
         return all(a < at < b for a, at, b in zip(low, guess.camera_m, high, strict=True))
@@ -161,7 +164,8 @@ def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
     """Return a stated box room as a guess.
 
     Window frames, glazing bars and transoms become bars, obstructions become solids. axis_deg: the
-    stated azimuth of the picture's centre. Raises InputError for an impossible room.
+    stated azimuth of the picture's centre, clockwise from north. Raises InputError for an
+    impossible room.
     """
     scene = build(room)
     windows, bars, middle = [], [], room.wall_thickness_m / 2.0

@@ -34,10 +34,11 @@ MIN_GAIN = 0.02  # share of the misfit that wrong numbers must explain; chosen
 class Misplacement:
     """Wrong settings that would explain why sun patches are not where they are computed.
 
-    off: by the name of a number, the correction that must be added to the stated one, and its
-    standard uncertainty (deg, min, m; clock_min above 0: stated times are later than the true
-    ones). gain: share of the misfit that this explains, in `hours` sunny hours. note: a sentence on
-    a grossly wrong direction; then nothing else was tested.
+    off: by the name of a number (`Parameter.name`), the correction that must be added to the stated
+    one, and its standard uncertainty (deg, min, m; clock_min above 0: stated times are later than
+    the true ones); empty if nothing is wrong. gain: share of the misfit, 0 to 1, that this
+    explains, in `hours` sunny hours. note: a sentence on a grossly wrong direction, "" without;
+    with it nothing else was tested.
     """
 
     off: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -50,7 +51,8 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
     """Return what is wrong with north, clock and the room's measures, by captured sun patches.
 
     Return None if nothing can be tested: patches are not used (patch "none", or `data` has none),
-    the room is not a box with windows, or under three captures have direct sun on a window.
+    the room is not a box with windows, or under three captures have direct sun on a window. Raises
+    InputError for an impossible room.
     """
     room = data.setup.room
     if patch == "none" or data.patch_cdm2 is None or not is_box_with_window(room):

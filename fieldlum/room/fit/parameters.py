@@ -25,9 +25,9 @@ _STEP_M, _STEP_DEG, _SOLID_STEP_M, _OUTSIDE_STEP_M = 0.04, 0.5, 0.16, 0.5
 class Parameter:
     """A number of the scene that a search changes, in m, degrees, minutes or, for an albedo, 1.
 
-    path: attributes and indices that lead from a guess to the number, such as ("size_m", 0); step:
-    by which a search changes it at first; sd: standard deviation of its prior, inf without one;
-    minimum, maximum: limits.
+    name: for results, such as "width_m" or "window 1 u_m0". path: attributes and indices that lead
+    from a guess to the number, such as ("size_m", 0); step: by which a search changes it at first;
+    sd: standard deviation of its prior, inf without one; minimum, maximum: limits.
     """
 
     name: str
@@ -47,7 +47,8 @@ class Parameter:
     def measured(self, guess: Guess) -> float:
         """Return the value as a tape measures it, in the parameter's unit.
 
-        The ends of windows in south and east walls count from the left end, as seen from inside.
+        Unlike in a guess, both ends of any window's `u_m` count from its wall's left end, as seen
+        from inside.
         """
         value = self.read(guess)
         if self.path[0] == "windows" and self.path[2] == "u_m":
@@ -116,7 +117,10 @@ def glass_parameters(guess: Guess) -> list[Parameter]:
 
 
 def bar_parameters(number: int) -> list[Parameter]:
-    """Return both edges and the outer face of a bar as parameters, m; number: from 0."""
+    """Return both edges and the outer face of a bar as parameters, m.
+
+    number: index of the bar in `Guess.bars`.
+    """
     ends = (("low", "span_m", 0), ("high", "span_m", 1), ("out", "depth_m", 1))
     return [
         Parameter(f"bar {number + 1} {label}", ("bars", number, span, end), _STEP_M / 2.0)
@@ -125,10 +129,10 @@ def bar_parameters(number: int) -> list[Parameter]:
 
 
 def solid_parameters(guess: Guess, number: int) -> list[Parameter]:
-    """Return the faces of a solid as parameters, m, and the albedo of one inside; number: from 0.
+    """Return the faces of a solid as parameters, m, and the albedo of one inside.
 
-    The lower face counts only if it is above the floor. No patch depends on an albedo outside. A
-    solid outside cannot move inside.
+    number: index of the solid in `guess.solids`. The lower face is a parameter only if it is above
+    the floor. No patch depends on an albedo outside. A solid outside cannot move inside.
     """
     solid = guess.solids[number]
     outside = is_outside(guess, solid)

@@ -27,7 +27,7 @@ _FITTED = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")
 class PosePrior:
     """A normal distribution of north, tilt, roll [deg] and clock [min], in this order.
 
-    values: the mean [4]; covariance [4, 4]. Signs are those of `Guess`.
+    values: the mean [4]; covariance [4, 4]: in products of these units. Signs are those of `Guess`.
     """
 
     values: Floats
@@ -51,9 +51,9 @@ def pose_of(
 ) -> PoseFit | None:
     """Return the pose and clock that three or more discs determine; None for fewer.
 
-    heading_deg: stated heading of the lens's axis; clock_sd_min: standard uncertainty of the times.
-    The other standard uncertainties before the fit are 2 degrees for north, 0.3 for tilt and roll,
-    and 1 % for the lens scale.
+    heading_deg: stated azimuth of the lens's axis, clockwise from north; clock_sd_min: standard
+    uncertainty of the times. The other standard uncertainties before the fit are 2 degrees for
+    north, 0.3 for tilt and roll, and 1 % for the lens scale.
     """
     if len(discs) < MIN_DISCS:
         return None

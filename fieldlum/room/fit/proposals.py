@@ -44,9 +44,10 @@ CABINET_DEPTHS_M, CABINET_LENGTH_M, CABINET_HEIGHTS_M = (0.3, 0.6), 1.6, (0.75, 
 class Kind:
     """A kind of element, such as furniture, that a search adds to a scene.
 
-    propose: yields guesses with one element more than a guess; parameters: returns what a search
-    changes of the element that was added last; gain: share of the cost (0 to 1) that an element
-    must save to be accepted; apart_m: distance from which two proposals are different.
+    propose: yields guesses with one element more than the given guess; parameters: returns what a
+    search changes of the element that was added last to the given guess; gain: share of the cost (0
+    to 1) that an element must save to be accepted; apart_m: distance from which two proposals are
+    different.
     """
 
     name: str
@@ -58,7 +59,8 @@ class Kind:
     def best(self, proposals: list[Guess], costs: Floats, count: int) -> list[Guess]:
         """Return at most `count` proposals of the lowest costs, `apart_m` or more from each other.
 
-        costs: of the proposals [n], as `SceneCost` returns them.
+        costs: of the proposals, in their order, as `SceneCost` returns them; the result has the
+        lowest cost first.
         """
         chosen: list[Guess] = []
         for k in np.argsort(costs):

@@ -20,12 +20,13 @@ class Scene:
 
     room: the fitted box relative to true north. north_deg: how far room and camera are turned
     clockwise from the stated direction; clock_min: stated time minus true time. before, after, u:
-    stated and fitted values and standard uncertainties, by the parameter's name. hours: number of
-    sunny hours. misfit: for the geometries "none", "stated" and "fitted", the share of pixels that
-    are wrong with it in the sunny hours. chosen: the geometry that the captures support; verdict:
-    why; trusted: whether enough hours support it. stated_heading_deg, stated_room: the start of the
-    fit. A scene is used only with captures that state the same, otherwise a correction would be
-    applied twice.
+    stated and fitted values and standard uncertainties, by `Parameter.name`, in the parameter's
+    unit. hours: number of sunny hours of the fit. misfit: for the geometries "none", "stated" and
+    "fitted", the share of pixels, 0 to 1, that are wrong with it in the sunny hours. chosen: the
+    geometry that the captures support; verdict: why; trusted: whether enough hours support it.
+    stated_heading_deg, stated_room: the start of the fit, as the captures stated it. A scene is
+    used only with captures that state the same, otherwise a correction would be applied twice.
+    notes: sentences for the user. format: of scene.toml.
     """
 
     north_deg: float

@@ -32,7 +32,8 @@ _FIRST_DAMPING, _TRIES = 0.1, 5
 def prior_unit(evidence: SceneEvidence, start: Guess, albedo: Floats) -> float:
     """Return the cost of one standard deviation of one parameter, from the misfit of the start.
 
-    albedo [6]: of west, east, south and north wall, floor and ceiling, 0 to 1.
+    It is 0.6 % of that misfit, and more with under 30 sunny hours. start: the stated guess; albedo
+    [6]: of west, east, south and north wall, floor and ceiling, 0 to 1.
     """
     # the misfit is a mean over hours: with fewer of them, the prior counts more
     factor = max(1.0, PRIOR_HOURS / len(evidence))
@@ -81,8 +82,9 @@ class SceneCost:
     def prior(self, guess: Guess) -> Floats:
         """Return a guess's weighted deviations from the stated numbers; their squares are its cost.
 
-        [q], one for each parameter. If sun discs determined a pose, north, tilt, roll and clock are
-        compared with that pose instead: they count by their squared Mahalanobis distance from it.
+        One for each parameter, in its order. If sun discs determined a pose, the last four replace
+        those of north, tilt, roll and clock: these numbers are compared with that pose, and their
+        cost is `unit` times the squared Mahalanobis distance from it.
         """
         by_disc = POSE_NAMES if self.pose is not None else ()
         deviations = [
@@ -103,9 +105,10 @@ def search(
 ) -> tuple[Guess, float]:
     """Search the guess of the smallest cost from a start; return it and its cost (no unit).
 
-    parameters: what of the guess is changed. Levenberg-Marquardt: derivatives are differences over
-    shares of the parameters' steps. The next of `step_shares` follows when a round gains less than
-    0.1 % of the cost.
+    guess: the start; if it is impossible, it is returned with an infinite cost. parameters: what of
+    the guess is changed. Levenberg-Marquardt: derivatives are differences over shares of the
+    parameters' steps. The next of `step_shares` follows when a round gains less than 0.1 % of the
+    cost, or after five rounds.
     """
     residuals = cost.residuals(guess)
     if residuals is None:
@@ -162,10 +165,11 @@ def _slopes(
 def covariance(cost: SceneCost, guess: Guess, parameters: Sequence[Parameter]) -> Floats:
     """Return the covariance of k parameters at the cheapest guess, in steps squared [k, k].
 
-    guess: the one with the lowest cost; a parameter's step is its `Parameter.step`. The covariance
-    is the sum of two. The first is by priors and noise: a displacement of one standard deviation
-    raises the cost by `cost.unit`. The second is by the scatter of the cost's gradient between
-    days, or between hours with under three days (sandwich estimator).
+    guess: the one with the lowest cost, which must be possible; a parameter's step is its
+    `Parameter.step`. The covariance is the sum of two. The first is by priors and noise: a
+    displacement of one standard deviation raises the cost by `cost.unit`. The second is by the
+    scatter of the cost's gradient between days, or between hours with under three days (sandwich
+    estimator).
     """
     residuals = cost.residuals(guess)
     assert residuals is not None

@@ -51,9 +51,10 @@ def run(
 
 
 def judged_scene(data: Dataset, fitted: Scene) -> Scene:
-    """Return a fitted scene with its verdict: the geometry of the smallest misfit.
+    """Return a fitted scene with `chosen` (the geometry of the smallest misfit) and its verdict.
 
-    It is trusted if there are enough sunny hours (`why_untrusted`). data: the captures of the fit.
+    `trusted` is True if there are enough sunny hours (`why_untrusted`); if not, the reason is added
+    to its notes. data: the captures of the fit.
     """
     chosen, reason = choose_geometry(fitted.misfit)
     doubt = why_untrusted(data, fitted.stated_room, fitted.hours)
@@ -109,7 +110,7 @@ def why_untrusted(data: Dataset, room: Room, hours: int) -> str:
 def choose_geometry(misfit: Mapping[str, float]) -> tuple[Chosen, str]:
     """Return the geometry of the smallest misfit, "none", "stated" or "fitted", and the reason.
 
-    misfit: mean of `SceneEvidence.misfit` in the sunny hours, by geometry.
+    misfit: mean of `SceneEvidence.misfit` in the sunny hours, for each of these three.
     """
     names: tuple[Chosen, ...] = ("none", "stated", "fitted")
     chosen = min(names, key=lambda name: misfit[name])

@@ -42,8 +42,8 @@ def check_captures(data: Dataset, room: Room) -> None:
 def turned_windows_note(data: Dataset, room: Room) -> str:
     """Return a clause if bright windows fit the room only after 30 degrees or more; "" if not.
 
-    The room's windows are turned around the camera in steps of 10 degrees, to where the captures'
-    median is brightest. Raises InputError for an impossible room.
+    room: a box. Its windows are turned around the camera in steps of 10 degrees, to where the
+    captures' median is brightest. Raises InputError for an impossible room.
     """
     height, width = data.shape
     _, rays = pixel_rays(height, data.heading_deg, 1)
