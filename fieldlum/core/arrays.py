@@ -13,8 +13,9 @@ Indices = NDArray[np.intp]
 
 
 def evenly_spread(count: int, maximum: int) -> Indices:
-    """Return at most `maximum` of the indices 0 to `count` - 1, [k]: the first, the last, between.
+    """Return k of the indices 0 to `count` - 1, ascending: the first, the last, others between.
 
-    The others are spread evenly between these.
+    These are spread evenly. k is `maximum`, or `count` if that is less; a single index is the
+    first.
     """
     return np.unique(np.linspace(0, count - 1, min(count, maximum)).astype(np.intp))

@@ -18,7 +18,10 @@ from pathlib import Path
 
 
 class FieldlumError(Exception):
-    """Base of all errors that are shown as one line, without a traceback."""
+    """Base of all errors that are shown as one line, without a traceback.
+
+    exit_code: exit status of the command that the error ends.
+    """
 
     exit_code = 1
 
@@ -68,7 +71,7 @@ def did_you_mean(text: str, names: Iterable[str]) -> str:
     """Return ``; did you mean 'NAME'?`` for the name that a user may have meant by `text`.
 
     names: all valid names; the first that begins with `text` is used, else the most similar one.
-    Return "" if none is similar.
+    Return "" if none is similar (by difflib, with its usual limit).
     """
     from difflib import get_close_matches
 
@@ -79,10 +82,10 @@ def did_you_mean(text: str, names: Iterable[str]) -> str:
 
 
 def install_text(extra: str) -> str:
-    """Return a sentence on how to install the optional packages `extra` of pyproject.toml.
+    """Return a clause on how to install a group of optional packages of pyproject.toml.
 
-    It names the source: fieldlum is not published, and another person could own its name in a
-    package index.
+    extra: name of the group, such as "gphoto". The clause names the source: fieldlum is not
+    published, and another person could own its name in a package index.
     """
     return f"install it in the folder of fieldlum's source with: pip install '.[{extra}]'"
 
@@ -134,10 +137,13 @@ _STDERR = threading.Lock()
 
 @contextmanager
 def library_messages(*marks: str) -> Iterator[list[str]]:
-    """Collect what a C library writes to stderr in a `with` block; yield the list of messages.
+    """Find out which faults a C library reports on stderr in a `with` block.
 
-    LibRaw and OpenEXR report damage only there, and continue. marks: texts that such lines contain;
-    each line with a mark adds the mark to the list. Other lines are printed after the block.
+    LibRaw and OpenEXR report damage only there, and continue. marks: texts by which their lines are
+    recognised. Yield a list that is empty in the block; when the block ends, it gets one entry for
+    each line with a mark: the mark, not the line. The stderr of this process, of all its threads,
+    is diverted during the block; lines without a mark are printed after it. A lock lets one thread
+    at a time enter such a block; a block within another one would wait for ever.
     """
     messages: list[str] = []
     with _STDERR, tempfile.TemporaryFile() as buffer:
@@ -152,6 +158,7 @@ def library_messages(*marks: str) -> Iterator[list[str]]:
             os.close(stderr)
             buffer.seek(0)
             for line in buffer.read().splitlines(keepends=True):
+                # the first mark that the line contains
                 if mark := next((mark for mark in marks if mark.encode() in line), ""):
                     messages.append(mark)
                 else:
@@ -164,7 +171,8 @@ def input_errors(
 ) -> Iterator[None]:
     """Turn errors of some kinds in a `with` block into InputError with the same reason.
 
-    source: the file; expected, remedy: texts of the InputError; kinds: the errors that are caught.
+    source: the file; expected, remedy: texts of the InputError, whose `found` is `reason_of` the
+    error; kinds: the errors that are caught.
     """
     try:
         yield

@@ -16,7 +16,10 @@ UNSEEN_RGB = (120, 120, 120)  # of pixels without a value; grey is no colour of 
 
 @lru_cache(maxsize=1)
 def colour_table() -> NDArray[np.uint8]:
-    """Return the RGB colours of the scale from its low to its high end, [256, 3]."""
+    """Return the RGB colours (0 to 255) of the scale from its low to its high end, [256, 3].
+
+    All callers share the array, so it must not be changed.
+    """
     import matplotlib
 
     return np.rint(matplotlib.colormaps[COLOUR_MAP](np.arange(256))[:, :3] * 255).astype(np.uint8)
@@ -27,8 +30,8 @@ def coloured(
 ) -> NDArray[np.uint8]:
     """Return false colours of luminances [...] as RGB [..., 3], 0 to 255.
 
-    low, high: ends of the logarithmic scale [cd/m2]. Values outside the scale get the colour of its
-    nearer end; values that are not finite get `UNSEEN_RGB`.
+    low, high: ends of the logarithmic scale [cd/m2], 0 < low < high. Values outside the scale get
+    the colour of its nearer end; values that are not finite get `UNSEEN_RGB`.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         position = np.log(np.maximum(luminance_cdm2, 1e-9) / low) / np.log(high / low)  # 0 to 1
@@ -38,7 +41,10 @@ def coloured(
 
 
 def png_of(rgb: NDArray[np.uint8]) -> bytes:
-    """Return the PNG file of an RGB image [H, W, 3]. Raises ValueError if it cannot be encoded."""
+    """Return the content of a PNG file of an RGB image [H, W, 3], 0 to 255.
+
+    Raises ValueError if it cannot be encoded.
+    """
     import cv2
 
     succeeded, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))  # OpenCV has BGR
@@ -50,7 +56,8 @@ def png_of(rgb: NDArray[np.uint8]) -> bytes:
 def luminance_ends(luminance_cdm2: Floats | Floats32) -> tuple[float, float] | None:
     """Return the 1 % and 99.9 % percentiles of the luminances above 0 [cd/m2]; None without any.
 
-    luminance_cdm2: [...]; values that are not finite do not count.
+    luminance_cdm2: [...]; values that are not finite do not count. Of 400 000 or more values only
+    every second, third and so on is used. The percentages are chosen.
     """
     # 200 000 to 400 000 values are enough for these percentiles. Chosen.
     values = luminance_cdm2.ravel()[:: max(1, luminance_cdm2.size // 200_000)]
@@ -63,9 +70,11 @@ def luminance_ends(luminance_cdm2: Floats | Floats32) -> tuple[float, float] | N
 def shared_scale(ends: Iterable[tuple[float, float] | None]) -> tuple[float, float]:
     """Return the low and the high end of one scale [cd/m2] for several pictures.
 
-    ends: `luminance_ends` of each picture. The result is rounded outwards to one digit, and its
-    ends are at least a factor of ten apart; without a picture they are 1 and 1000.
+    ends: `luminance_ends` of each picture; None is ignored. The scale goes from the least low end
+    to the greatest high end, rounded outwards to one digit, and is at least a factor of ten wide;
+    without a picture it is 1 to 1000.
     """
+    # the last pair changes neither minimum nor maximum; with it, zip has a pair without pictures
     lows, highs = zip(*(pair for pair in ends if pair), (np.inf, 0.0), strict=True)
     low, high = (min(lows), max(highs)) if max(highs) else (1.0, 1000.0)
     return _one_digit(low, np.floor), _one_digit(max(high, 10.0 * low), np.ceil)

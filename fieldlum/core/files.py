@@ -32,10 +32,10 @@ def open_file(
 ) -> int:
     """Open a regular file, without waiting for another program; return its handle.
 
-    flags: of os.open, without O_TRUNC, which would act before the checks; folder: handle of the
-    folder to which a relative path belongs, None for the current one. Raises OSError for a folder,
-    a pipe, a device, a link that is not followed, and when writing, for a file with several hard
-    links.
+    flags: of os.open, without O_TRUNC, which would act before the checks; follow_links: whether
+    `path` itself may be a symbolic link; folder: handle of the folder to which a relative path
+    belongs, None for the current one. Raises OSError for a folder, a pipe, a device, a link that is
+    not followed, and when writing, for a file with several hard links.
     """
     # Absent on Windows, where a link needs a right that users do not have. O_NONBLOCK is for a
     # named pipe; it has no effect on files.
@@ -95,15 +95,19 @@ def read_bytes(path: Path, maximum_bytes: int = MAX_FILE_BYTES) -> bytes:
 def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
     """Yield a file that gets the name `path` only when it is complete.
 
-    The file has a temporary name in the same folder, is flushed to disk, and is then renamed. After
-    an exception in the `with` block it is removed instead. mode, kwargs: arguments of `open`.
+    The file has a temporary name in the same folder, is flushed to disk after the `with` block, and
+    is then renamed. After an exception in the block it is removed instead, and an earlier file of
+    this name remains. mode, kwargs: arguments of `open`. Raises the errors of `replacing_path`.
     """
     with replacing_path(path) as temporary, temporary.open(mode, **kwargs) as file:
         yield file
 
 
 def write_file(path: Path, content: bytes | str) -> Path:
-    """Write a complete file of bytes, or of a text in UTF-8, as `replacing` does; return `path`."""
+    """Write a complete file of bytes, or of a text in UTF-8, as `replacing` does; return `path`.
+
+    Raises the errors of `replacing_path`.
+    """
     with replacing(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
     return path
@@ -134,8 +138,9 @@ def check_writable(folder: Path) -> None:
 def replacing_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path with the same suffix; rename it to `path` after the `with` block.
 
-    For writers that need a path; see `replacing`. After an exception the temporary file is removed.
-    Raises InputError if the folder cannot be created, such as in /proc.
+    For writers that need a path; see `replacing`. The file exists, empty, when the block begins.
+    Missing folders above `path` are created. After an exception the temporary file is removed.
+    Raises InputError if the folder cannot be created, such as in /proc, OSError for other failures.
     """
     expected, remedy = "a folder that can be created", "name another folder"
     with input_errors(path.parent, expected, remedy, FileNotFoundError):
@@ -156,7 +161,7 @@ def replacing_path(path: Path) -> Iterator[Path]:
 def remove_scraps(folder: Path) -> None:
     """Remove the temporary files that killed runs left in a folder: those older than a day.
 
-    A link is never followed.
+    Their names have the form ``.*.tmp*``. If the folder is a link, nothing is removed.
     """
     if folder.is_symlink():
         return
@@ -235,8 +240,9 @@ def cut_torn_tail(path: Path, is_valid: Callable[[bytes], bool]) -> int:
     """Cut a file after its last valid line; return the number of bytes moved to ``NAME.torn``.
 
     A kill or a power cut during a write leaves half a line, or a page of zeros. Damaged lines
-    before the last valid one remain: readers skip them. is_valid: returns whether a line is valid.
-    A missing file gives 0. Raises InputError if the last MiB has three or more lines, none valid.
+    before the last valid one remain: readers skip them. is_valid: returns whether a line, with its
+    line feed, is valid. A missing file gives 0. Raises InputError if the last MiB has three or more
+    lines, none valid; OSError if a file cannot be read or written.
     """
     if not path.is_file():
         return 0
@@ -261,14 +267,17 @@ def break_hard_links(path: Path) -> None:
     """Replace a file that has other names too (hard links) by a copy that has only this name.
 
     Some backup programs create such links; appending would change the backup. The other names keep
-    the earlier file. Raises OSError.
+    the earlier file. Raises OSError if the copy cannot be written.
     """
     if path.is_file() and not path.is_symlink() and path.stat().st_nlink > 1:
         write_file(path, read_bytes(path))
 
 
 def is_replaced(handle: int, path: Path) -> bool:
-    """Return whether `path` is now another regular file than that of an open handle."""
+    """Return whether `path` is now another regular file than that of an open handle.
+
+    False if `path` is missing, or no regular file.
+    """
     try:
         now = path.stat(follow_symlinks=False)
     except OSError:

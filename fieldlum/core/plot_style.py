@@ -42,7 +42,8 @@ def styled() -> AbstractContextManager[None]:
 def new_figure(width_in: float, height_in: float, **settings: Any) -> Figure:
     """Return an empty figure, in which matplotlib arranges the parts without overlap.
 
-    width_in, height_in: in inches; settings: of matplotlib's Figure.
+    width_in, height_in: in inches; settings: of matplotlib's Figure. It has fieldlum's colours only
+    if it is created and filled inside `with styled():`.
     """
     from matplotlib.figure import Figure
 
@@ -50,7 +51,10 @@ def new_figure(width_in: float, height_in: float, **settings: Any) -> Figure:
 
 
 def svg_of(figure: Figure, **settings: Any) -> str:
-    """Return a figure as inline SVG, without the XML prologue and without a date."""
+    """Return a figure as inline SVG, without the XML prologue and without a date.
+
+    settings: of `Figure.savefig` of matplotlib.
+    """
     text = StringIO()
     with styled(), warnings.catch_warnings():
         # The site's name may have letters that the font lacks.
@@ -60,6 +64,9 @@ def svg_of(figure: Figure, **settings: Any) -> str:
 
 
 def open_axes(axes: Any) -> None:
-    """Remove the upper and the right line of the frame of axes; draw small tick labels in `INK`."""
+    """Remove the upper and the right line of a frame; draw small tick labels and ticks in `INK`.
+
+    axes: of matplotlib.
+    """
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8, colors=INK)

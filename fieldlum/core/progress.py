@@ -26,7 +26,10 @@ def progress(finished: int, total: int, text: str) -> None:
 
 @contextmanager
 def shown_by(show: Progress) -> Iterator[None]:
-    """Let `show` show the progress that is reported in a `with` block; `quiet` shows nothing."""
+    """Let `show` show the progress that this thread reports in a `with` block.
+
+    `quiet` shows nothing.
+    """
     token = _SHOW.set(show)
     try:
         yield

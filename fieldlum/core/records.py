@@ -122,12 +122,12 @@ _Azimuth = Annotated[float, Meta(ge=-360.0, le=360.0)]
 class CameraSetup:
     """The camera of a session.
 
-    profile: name of a profile in calibration/, or a path; "" for the default simulated camera;
-    heading_deg: azimuth of the panorama's centre column, clockwise from true north; headings:
-    azimuths [deg] to which a single fisheye is turned in each bracket, empty for a fixed camera;
-    height_m: of the lens above the floor; assumed: keys that SITE.toml does not state, although the
-    results depend on them; filter: name of the neutral-density filter that a person puts on for the
-    frames of the sun, "" for none.
+    Azimuths are clockwise from true north. profile: name of a profile in calibration/, or a path;
+    "" for the default simulated camera; heading_deg: azimuth of the panorama's centre column;
+    headings: azimuths [deg] to which a single fisheye is turned in each bracket, empty for a fixed
+    camera; height_m: of the lens above the floor; assumed: keys that SITE.toml does not state,
+    although the results depend on them; filter: name of the neutral-density filter that a person
+    puts on for the frames of the sun, "" for none.
     """
 
     profile: str = ""
@@ -140,12 +140,14 @@ class CameraSetup:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A glazed rectangle in a wall of a box room.
+    """A glazed rectangle in a wall of a box room, with its frame.
 
-    left_m: from the wall's left end, seen from inside, to the rectangle; sill_m: height of its
-    lower edge above the floor; width_m, height_m: its size; transmittance: of the glass. panes:
-    number of equal panes next to each other, separated by vertical bars; frame_m: width of the
-    frame and of the bars; transom_m: height of a horizontal bar above the floor, 0 for none.
+    wall: in the words of the room, in which the south wall is at y = 0 (see `Room`); left_m: from
+    the wall's left end, seen from inside, to the rectangle; sill_m: height of its lower edge above
+    the floor; width_m, height_m: its size; transmittance: of the glass for light at normal
+    incidence, above 0, at most 0.92. panes: number of equal panes next to each other, separated by
+    vertical bars; frame_m: width of the frame, which is inside the rectangle, and of the bars, 0
+    for none; transom_m: height of a horizontal bar above the floor, 0 for none.
     """
 
     wall: Literal["south", "west", "north", "east"]
@@ -165,6 +167,7 @@ class Obstruction:
 
     x_m, y_m, z_m: its corner with the smallest coordinates; width_m, depth_m, height_m: its size
     along x, y, z. y is 0 at the south wall and grows into the room; z is 0 at the floor.
+    reflectance: diffuse, 0 to below 1.
     """
 
     x_m: float
@@ -180,13 +183,16 @@ class Obstruction:
 class Room:
     """A box room (kind box), or the Radiance file of a room (kind radiance).
 
-    The "south" wall of a box is y = 0 and faces ``wall_azimuth_deg``. width_m is along x, which
-    is east if the south wall faces south: it grows towards the right-hand end of that wall seen
-    from OUTSIDE. depth_m is along y, away from the south wall; height_m along z.
-    wall_azimuth_deg: azimuth of the south wall's outward normal, clockwise from true north.
-    camera_tilt_deg: angle by which the panorama's centre column points up, and camera_roll_deg:
-    by which its right-hand side is low (both kind box only). file: .rad or .oct, and
-    viewpoint_m: x east, y north, z up (both kind radiance only).
+    The "south" wall of a box is y = 0 and faces ``wall_azimuth_deg``. width_m is along x, which is
+    east if the south wall faces south: it grows towards the right-hand end of that wall seen from
+    OUTSIDE. depth_m is along y, away from the south wall; height_m along z. wall_azimuth_deg:
+    azimuth of the south wall's outward normal, clockwise from true north. camera_x_m, camera_y_m,
+    camera_z_m: the lens. camera_tilt_deg: angle by which the panorama's centre column points up,
+    and camera_roll_deg: by which its right-hand side is low. wall_thickness_m: of the four walls.
+    reflectance_...: diffuse, 0 to below 1; ground: outdoors; frame: of window frames. window,
+    obstruction: see `Window` and `Obstruction`. All these are of kind box only. file: path of a
+    .rad of geometry, and viewpoint_m: the lens in it, three numbers: x east, y north, z up (both
+    kind radiance only).
     """
 
     kind: Literal["box", "radiance"] = "box"
@@ -213,7 +219,10 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class PyranometerSetup:
-    """The pyranometer of a session as SITE.toml states it: its kind and the name of its profile."""
+    """The pyranometer of a session as SITE.toml states it; reports show both texts.
+
+    kind: such as spn1; profile: name of its profile; "" if not stated.
+    """
 
     kind: str = ""
     profile: str = ""
@@ -271,7 +280,7 @@ def shutter_text(shutter_s: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """One planned bracket: its start, the sun's position then, the exposures and tags.
+    """One planned bracket: its start t_utc, the sun's position then, the exposures and tags.
 
     tags: words that the plan attaches to the bracket; empty without any. sun_altitude_deg: true
     altitude, without refraction; sun_azimuth_deg: clockwise from north.
@@ -293,9 +302,9 @@ class Slot:
 class IrradianceSample:
     """One reading of a pyranometer in W/m²; None for components that it does not measure.
 
-    ghi: global horizontal irradiance; dhi: diffuse horizontal; dni: direct normal;
-    temperature_c: as the instrument reports it [deg C]. status: as the instrument reports it,
-    "" for no fault; raw: the line or register words as received.
+    t_utc: time of the reading; ghi: global horizontal irradiance; dhi: diffuse horizontal; dni:
+    direct normal; temperature_c: as the instrument reports it [deg C]. status: as the instrument
+    reports it, "" for no fault; raw: the line or register words as received.
     """
 
     t_utc: datetime
@@ -319,10 +328,12 @@ CLIPPED_SUN = "clipped"
 class SunSource:
     """The sun as the lens sees it, separate from the map.
 
-    azimuth_deg: clockwise from north. normal_illuminance_lx: of the visible part of the disc, on a
-    plane normal to the sun, at the lens; a lower bound if origin is "clipped". visible_fraction:
-    share (0 to 1) of the disc's area that is not hidden. origin: where the illuminance comes from:
-    nd-frames, merge, clipped, meter, dni, rendering, picture; "" if unknown.
+    altitude_deg: apparent, with refraction; azimuth_deg: clockwise from true north.
+    normal_illuminance_lx: of the visible part of the disc, on a plane normal to the sun, at the
+    lens; a lower bound if origin is "clipped". visible_fraction: share (0 to 1) of the disc's area
+    that is not hidden. origin: where the illuminance comes from: nd-frames, merge, clipped, meter,
+    sky-view, dni, rendering, picture (`SUN_FROM` of session.panorama_sun explains each); "" if
+    unknown.
     """
 
     altitude_deg: float
@@ -343,10 +354,11 @@ class Panorama:
     """A luminance map of all directions; a sun disc that fieldlum measured is separate, in `sun`.
 
     luminance_cdm2, u_cdm2 (standard uncertainty), flags (`Flag` bits): [H, W = 2H], row 0 at the
-    zenith, azimuth clockwise to the right; rgb: [H, W, 3]. heading_deg: azimuth of the centre
-    column, clockwise from true north. t_utc, u_cdm2, flags, rgb: None if unknown. sun: None if no
-    sun was removed from the map or added to it; a map of another program may then contain the disc.
-    attributes: further texts of the picture's file.
+    zenith, azimuth clockwise to the right; rgb: [H, W, 3], of which 179 (0.265 R + 0.670 G + 0.065
+    B) is the luminance. heading_deg: azimuth of the centre column, clockwise from true north.
+    t_utc: of the picture, the middle of its bracket. t_utc, u_cdm2, flags, rgb: None if unknown.
+    sun: None if no sun was removed from the map or added to it; a map of another program may then
+    contain the disc. attributes: further texts of the picture's file, by name.
     """
 
     luminance_cdm2: Floats
@@ -355,7 +367,7 @@ class Panorama:
     flags: NDArray[np.integer] | None = None
     t_utc: datetime | None = None
     sun: SunSource | None = None
-    # Radiance's units: 179 lm/W times (0.265 R + 0.670 G + 0.065 B) is the luminance
+    # Radiance's units, W/sr/m2; its luminous efficacy is 179 lm/W
     rgb: Floats | None = None
     attributes: dict[str, str] = field(default_factory=dict)
 

@@ -35,12 +35,16 @@ def parse_state(text: str) -> tuple[str, ...]:
 
 
 def is_lit(text: str) -> bool:
-    """Return whether a lamp is on in a state."""
+    """Return whether a lamp is on in a state. Raises ValueError as `parse_state` does."""
     return any(part.startswith(LAMP_WORD) for part in parse_state(text))
 
 
 def cover_state(text: str) -> str:
-    """Return the unusual parts of a state that change the view of the sky, such as "blind=half"."""
+    """Return the unusual parts of a state that change the view of the sky, such as "blind=half".
+
+    Several parts (of blind and tint) are separated by semicolons; "" without any. Raises ValueError
+    as `parse_state` does.
+    """
     return ";".join(part for part in parse_state(text) if part.startswith(COVER_WORDS))
 
 
@@ -72,7 +76,8 @@ def merged_state(text: str, change: str) -> str:
 def indicators(states: tuple[str, ...], columns: tuple[str, ...]) -> Floats:
     """Return a table [states, columns]: 1 where the state has the part of the column, else 0.
 
-    states: texts such as ``lamp=on;blind=half``; columns: one part each, such as "lamp=on".
+    states: texts such as ``lamp=on;blind=half``; columns: one unusual part each, such as "lamp=on".
+    Raises ValueError as `parse_state` does.
     """
     rows = [[float(part in parse_state(text)) for part in columns] for text in states]
     return np.array(rows, float).reshape(len(states), len(columns))

@@ -137,8 +137,9 @@ def run_each(
 
     A unit whose process or worker is killed, has a full disk or an outdated file system is tried
     again, at most 3 times; then its outcome has an InputError, and other units continue. An error
-    in `take` stops all units and is raised. Raises InputError if no Dask scheduler answers or no
-    worker with this software is left, NotEnoughDataError if there is no worker for ten minutes.
+    in `take` stops all units and is raised. On a cluster, raises InputError if no Dask scheduler
+    answers, no usable worker is left, or a unit's folder is outside the shared folder;
+    NotEnoughDataError if there is no worker for ten minutes.
     """
     waiting = list(units)
     count = min(scheduler.processes, len(waiting))
@@ -230,7 +231,10 @@ def _in_processes(units: list[WorkUnit], count: int) -> Outcomes:
 
 
 def start_pool(count: int) -> Executor:
-    """Return a pool of `count` processes, each with one thread, which end with this process."""
+    """Return a pool of `count` processes, each with one thread, which end with this process.
+
+    The caller ends it by its `shutdown`.
+    """
     spawn = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(count, mp_context=spawn, initializer=_start_worker)
 
@@ -251,8 +255,10 @@ def _start_worker() -> None:
 class Task:
     """A unit of work as a worker of a cluster receives it, without absolute paths.
 
-    folder: relative to the shared folder; inputs: names (relative to `folder`) and sha256 of input
-    files; software: `software` of the computer that sends it.
+    call, argument: of the `WorkUnit`; folder: relative to the shared folder, which is
+    FIELDLUM_SHARED, else the current folder, on each computer; inputs: names (relative to `folder`)
+    and sha256 of input files, "absent" for a missing one; software: result of `software` on the
+    computer that sends it.
     """
 
     call: Callable[[Path, Any], Any]
@@ -263,9 +269,9 @@ class Task:
 
 
 def task_of(unit: WorkUnit) -> Task:
-    """Return a unit as a worker of a cluster receives it.
+    """Return a unit as a worker of a cluster receives it; read its input files for their sha256.
 
-    Raises InputError if its folder is outside the shared folder.
+    Raises InputError if its folder is outside the shared folder (see `Task`).
     """
     shared = _shared_folder()
     try:
@@ -322,7 +328,8 @@ def _perform_here(task: Task) -> tuple[str, Any, str]:
 def software() -> dict[str, str]:
     """Return what results depend on: versions of Python and packages, digests of fieldlum's files.
 
-    By name. A package that is not installed has the version "none".
+    By name: python, the names of packages, source (the code) and profiles (of cameras). A package
+    that is not installed has the version "none".
     """
     facts = {"python": f"{sys.version_info[0]}.{sys.version_info[1]}"}
     for name in ("fieldlum", "numpy", "scipy", "opencv-contrib-python-headless", "torch", "pvlib"):
@@ -348,7 +355,7 @@ def _on_cluster(units: list[WorkUnit], address: str) -> Outcomes:
     with _connect(address) as client:
 
         def submit(unit: WorkUnit) -> None:
-            """Send a unit to the workers that are not avoided."""
+            """Send a unit to the workers that are not avoided, and add it to `running`."""
             places = _usable(client, address, avoided)
             executor = client.get_executor(workers=sorted(places) or None, pure=False)
             running[executor.submit(_perform_here, task_of(unit))] = unit, places

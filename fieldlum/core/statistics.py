@@ -14,7 +14,7 @@ _MEDIAN_OVER_MEAN_ERROR = 1.2533
 
 
 def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
-    """Return the standard deviation that the median absolute deviation of `values` implies.
+    """Return 1.4826 times the median absolute deviation: the standard deviation of normal values.
 
     values: [n], any unit, which the result has too. centre: the value from which deviations are
     measured; None for the median of `values`. Up to half of the values may be gross errors
@@ -26,10 +26,10 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
 
 
 def cauchy_weights(residual: Floats, half: float) -> Floats:
-    """Return the weights [...] of residuals [...] in a fit: 1 for none, near 0 for gross errors.
+    """Return the weights [...] of residuals [...] in a fit: 1 for 0, near 0 for gross errors.
 
-    A weight is 1 / (1 + (residual / half)^2). half: the residual, in the same unit, whose weight is
-    a half.
+    A weight is 1 / (1 + (residual / half)^2) (Cauchy's, in Holland and Welsch, Commun. Stat. A6,
+    1977). half: the residual, in the same unit, whose weight is a half.
     """
     return 1.0 / (1.0 + (residual / half) ** 2)
 
@@ -57,7 +57,8 @@ def nan_percentiles(values: Floats, percent: tuple[float, ...]) -> Array:
 def median_standard_error(sigma: float, count: int) -> float:
     """Return the standard error of the median of `count` normal values, in the unit of `sigma`.
 
-    sigma: standard deviation of one value.
+    sigma: standard deviation of one value. The result is sqrt(pi / 2) sigma / sqrt(count), the
+    limit for many values.
     """
     return float(_MEDIAN_OVER_MEAN_ERROR * sigma / np.sqrt(count))
 
@@ -85,8 +86,9 @@ def standard_error(values: Floats, groups: Array | None = None) -> float:
 def held_out_masks(groups: Array, parts: int) -> Iterator[Mask]:
     """Yield a mask [n] for each of `parts` tests, True for the values that the test holds out.
 
-    groups [n]: group of each value, such as its day; a group is never divided. Each group is held
-    out once, and neighbouring groups in different tests.
+    groups [n]: group of each value, such as its day; a group is never divided. Test p, from 0,
+    holds out the groups p, p + parts, p + 2 parts ... in sorted order. So each group is held out
+    once, and neighbouring ones in different tests.
     """
     names = np.unique(groups)
     for part in range(parts):
@@ -96,10 +98,11 @@ def held_out_masks(groups: Array, parts: int) -> Iterator[Mask]:
 def is_no_worse(errors: Floats, best_errors: Floats) -> bool:
     """Return whether a model's mean held-out error is at most one standard error above the best's.
 
-    errors, best_errors [n]: of the model and of the best model, for the same data in the same
-    order. The standard error is that of the mean of errors - best_errors: easy and difficult data
-    are the same for both models, so that their spread does not describe the difference. With one
-    value the standard error counts as 0.
+    This is the one-standard-error rule (Breiman et al., Classification and Regression Trees, 1984)
+    for paired errors. errors, best_errors [n]: held-out errors of the model and of the best model,
+    for the same data in the same order; less is better. The standard error is that of the mean of
+    errors - best_errors: easy and difficult data are the same for both models, so that their spread
+    does not describe the difference. With one value the standard error counts as 0.
     """
     difference = np.asarray(errors, float) - np.asarray(best_errors, float)
     return bool(difference.mean() <= np.nan_to_num(standard_error(difference)))

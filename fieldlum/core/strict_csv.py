@@ -113,9 +113,10 @@ def numbered(lines: Iterable[str], first: int = 1) -> list[Line]:
 
 @dataclass(frozen=True, slots=True)
 class CsvTable:
-    """Column names, and the line number and the cells of each row; as many cells as names.
+    """The content of a csv file.
 
-    separator: between cells, such as a comma.
+    path: of the file; names: of the columns; rows: the number of each row's line in the file, from
+    1, and its cells, as many as names; separator: between cells, such as a comma.
     """
 
     path: Path
@@ -145,7 +146,7 @@ def split_row(line: str, separator: str = ",", *, padded: bool = True) -> list[s
 
 
 def split_header(path: Path, line: Line, separator: str = ",") -> list[str]:
-    """Return the cells of a header line.
+    """Return the cells of a header line; path: of the file, for errors.
 
     Raises InputError for a quotation mark without its counterpart, and for columns that are
     separated by other marks than the commas that are expected.
@@ -161,7 +162,7 @@ def split_header(path: Path, line: Line, separator: str = ",") -> list[str]:
 def split_rows(
     path: Path, lines: Iterable[Line], count: int | None = None, separator: str = ","
 ) -> list[tuple[int, tuple[str, ...]]]:
-    """Return the number and the cells of each line.
+    """Return the number and the cells of each line; path: of the file, for errors.
 
     count: number of cells that a line must have; None for that of most lines. Raises InputError,
     with the first such line, for another number of cells and for a quotation mark without its
@@ -207,9 +208,11 @@ def plain_rows(path: Path, expected: str, remedy: str) -> str:
 def surplus_cause(cells: Sequence[str], count: int, right: Sequence[Sequence[str]] = ()) -> str:
     """Return why a row has more than `count` cells: `COMMAS`, `THOUSANDS`, or "" if unknown.
 
-    Commas separate decimals if the row has at least one pair of integers for each surplus cell, and
-    fewer decimal points than the rows with `count` cells (`right`), or if no row has a decimal
-    point. Else they separate thousands if there is a pair such as 1 and 234.5 for each.
+    cells: of the row; right: cells of other rows, with the right count. Commas separate decimals
+    (`COMMAS`) if the row has no empty cell, has for each surplus cell a pair of integers such as 12
+    and 5, and either no row of `right` has a decimal point, or at least as many decimal points are
+    missing, compared with `right`, as cells are surplus. Else they separate thousands if there is
+    for each surplus cell a pair such as 1 and 234.5.
     """
     if len(cells) > 3 * count:  # a number has at most two commas
         return ""
@@ -260,7 +263,10 @@ def read_table(
 
 
 def check_names(path: Path, names: Sequence[str]) -> None:
-    """Raise InputError for a column name that occurs twice; empty names may."""
+    """Raise InputError for a column name that occurs twice; empty names may.
+
+    path: of the file, for the error.
+    """
     counts = Counter(name for name in names if name)
     if repeated := [name for name, count in counts.items() if count > 1]:
         found = f"{counts[repeated[0]]} columns named {repeated[0]}"
