@@ -142,7 +142,7 @@ class CameraSetup:
 class Window:
     """A glazed rectangle in a wall of a box room, with its frame.
 
-    wall: in the words of the room, in which the south wall is at y = 0 (see `Room`); left_m: from
+    wall: by the room's own names, not the compass: "south" is at y = 0 (see `Room`); left_m: from
     the wall's left end, seen from inside, to the rectangle; sill_m: height of its lower edge above
     the floor; width_m, height_m: its size; transmittance: of the glass for light at normal
     incidence, above 0, at most 0.92. panes: number of equal panes next to each other, separated by

@@ -49,8 +49,9 @@ _CONVERSION_ERRORS = (KeyError, TypeError, ValueError, AttributeError, Arithmeti
 def sealed(path: Path) -> Iterator[None]:
     """Write NAME.sha256 next to the file `path`, after the `with` block, which writes that file.
 
-    An earlier checksum file is deleted first, because a file without one is not checked, and an
-    interruption must not leave a wrong one.
+    If the block raises an error, no checksum file is written. An earlier checksum file is deleted
+    first, because a file without one is not checked, and an interruption must not leave a wrong
+    one.
     """
     checksum_file = _checksum_file(path)
     checksum_file.unlink(missing_ok=True)
@@ -63,7 +64,8 @@ def warn_if_changed(path: Path) -> str:
     """Return a sentence, and warn with it, if a file changed after fieldlum wrote it; else "".
 
     It did if its SHA-256 is not that of its checksum file NAME.sha256; a file without one counts as
-    unchanged. The warning is a ChangedFileWarning.
+    unchanged. The warning is a ChangedFileWarning. Raises OSError if the file has a checksum file
+    and cannot be read.
     """
     checksum_file = _checksum_file(path)
     try:
@@ -118,7 +120,10 @@ def digest(value: object) -> str:
 
 
 def data_digest(*values: object) -> str:
-    """Return the SHA-256 of values in hex; they may be arrays, dataclasses, times or lists."""
+    """Return the SHA-256 of values in hex; they may be arrays, dataclasses, times or lists.
+
+    An array counts by its type, shape and content, a value of an unknown type by its text.
+    """
     packed = msgspec.msgpack.encode(values, enc_hook=_packable, order="sorted")
     return hashlib.sha256(packed).hexdigest()
 
@@ -151,13 +156,17 @@ class JsonFile(msgspec.Struct, frozen=True):
 
     @classmethod
     def read(cls, place: Path) -> Self:
-        """Read a file, or NAME in a folder. Raises InputError for a missing or an invalid file."""
+        """Return the record in the file `place`, or in NAME in the folder `place`.
+
+        Warn if the file changed after it was written. Raises InputError for a missing file, a newer
+        format and other content.
+        """
         path = place / cls.NAME
         return cls.from_table(read_object(path, cls.EXPECTED, cls.REMEDY), path)
 
     @classmethod
     def find(cls, place: Path) -> Self | None:
-        """Read a file as `read` does; return None if it is missing."""
+        """Return the record as `read` does, with the same errors; None if the file is missing."""
         return cls.read(place) if (place / cls.NAME).is_file() else None
 
     @classmethod
@@ -175,7 +184,8 @@ class JsonFile(msgspec.Struct, frozen=True):
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
         """Return the JSON object of a file of any version with the keys of the present version.
 
-        path: of the file, for classes that need its name.
+        Here it is `table` itself; classes whose keys changed override the method. path: of the
+        file, for classes that need its name.
         """
         return table
 
@@ -221,7 +231,7 @@ def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
 def write_object(path: Path, table: Mapping[str, object], *, digest: bool = False) -> None:
     """Write a JSON object; arrays become lists, and values of unknown types become text.
 
-    digest: write its SHA-256 into NAME.sha256 too.
+    digest: write its SHA-256 into NAME.sha256 too. Raises OSError if it cannot be written.
     """
     seal = sealed(path) if digest else nullcontext()
     # A file name that is not UTF-8 has surrogates; \udcff is also how JSON writes one.
@@ -265,9 +275,10 @@ _FLAGS = {"yes": True, "1.0": True, "no": False, "0.0": False}  # besides 1, tru
 def read_columns(path: Path, expected: str, remedy: str) -> dict[str, Array]:
     """Return the columns [n] of a large csv without quotation marks, by name; warn if it changed.
 
-    Texts of t_utc become Unix times [s]. An empty cell is NaN. Raises InputError, with the texts
-    `expected` and `remedy`, for a missing file, another number of cells in a line, and a time that
-    cannot be read.
+    Numbers become numeric arrays, other texts arrays of objects, and the texts of the column t_utc,
+    which is required, Unix times [s]. An empty cell is NaN. Raises InputError, with the texts
+    `expected` and `remedy`, for a missing file or column t_utc, another number of cells in a line,
+    and a time that cannot be read.
     """
     import pandas as pd
 
@@ -285,8 +296,9 @@ def write_csv(
 ) -> None:
     """Write rows as a csv, which replaces an earlier file when it is complete.
 
-    rows: values by column; None and NaN become empty cells. columns: names of all columns; empty
-    for the keys of the rows. digits: significant digits of floats.
+    rows: values by column; None and NaN become empty cells, times UTC texts, and bools 0 or 1.
+    columns: names of all columns; empty for the keys of the rows, in the order in which they first
+    occur. digits: significant digits of floats.
     """
     if not (names := list(columns)):
         rows = list(rows)

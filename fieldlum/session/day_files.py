@@ -20,7 +20,7 @@ _DAY_HEADER = (",".join(DAY_COLUMNS) + "\n").encode()
 
 
 def encode_sample(sample: IrradianceSample) -> bytes:
-    """Return one row of a day file, with its line feed.
+    """Return one row of a day file, the cells of `DAY_COLUMNS`, with its line feed.
 
     Its last column is the CRC-32 of the columns before it. A number that is None or not finite
     becomes an empty cell.
@@ -68,9 +68,9 @@ class DayFiles:
         self._folder.mkdir(parents=True, exist_ok=True)
 
     def append(self, sample: IrradianceSample) -> None:
-        """Append a reading to the file of its UTC day.
+        """Append a reading to the file of its UTC day, which is created if it is missing.
 
-        Raises OSError on a full disk, after removing a partly written row.
+        Raises OSError, for example on a full disk, after removing a partly written row.
         """
         day = sample.t_utc.astimezone(UTC).strftime("%Y-%m-%d")
         if day != self._day or files.is_replaced(self._handle, self._folder / f"{day}.csv"):
@@ -115,7 +115,10 @@ def day_files(session: Session) -> list[Path]:
 
 
 def read_day(path: Path) -> tuple[list[IrradianceSample], int]:
-    """Return the samples of one day file, in its order, and the number of damaged lines skipped."""
+    """Return the samples of one day file, in its order, and the number of damaged lines skipped.
+
+    Raises OSError if the file cannot be read.
+    """
     samples: list[IrradianceSample] = []
     damaged = 0
     with files.open_to_read(path) as file:

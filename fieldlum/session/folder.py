@@ -39,10 +39,14 @@ DeviceTable = dict[str, str | int | float | bool]
 
 
 class PlanTable(TypedDict, total=False):
-    """[plan] of session.toml: the request, and time [s] and disk space [MB] of each slot.
+    """[plan] of session.toml: what was requested, and the plan that resulted.
 
-    seed: of a sample of the year; first, last: dates of the slots; revision: number of this
-    version of the plan; sha256: of plan.csv, older_sha256: of the earlier ones.
+    Requested are set: name of the capture set, such as month; start: first date; year: of its
+    events; count: number of slots; seed: of a sample of the year. Resulted have revision: number of
+    this version of the plan, 0 for the first; slots: their number; first, last: dates;
+    seconds_per_slot, megabytes_per_slot: time and disk space of a bracket at all headings;
+    sun_band_percent: of the sky area that the sun crosses in a year, the share within 10 deg of a
+    planned sun; sha256: of plan.csv, older_sha256: of the earlier ones.
     """
 
     set: str
@@ -62,7 +66,11 @@ class PlanTable(TypedDict, total=False):
 
 
 class DevicesTable(TypedDict, total=False):
-    """[devices] of session.toml: URIs by device, and what each device reports about itself."""
+    """[devices] of session.toml, of the last capture or log.
+
+    uris: addresses by device (camera, pyranometer, meter), "" for none; camera, pyranometer, meter:
+    what each reports about itself.
+    """
 
     uris: dict[str, str]
     camera: DeviceTable
@@ -148,8 +156,8 @@ class _SlotPlace:
 class Session:
     """A session folder: the paths in it, and its own files session.toml and plan.csv.
 
-    root: the folder; each other attribute is the path of the file or folder of that name, or a
-    function from a slot's id to such a path.
+    root: the folder; each other attribute is a path below it, whether the file or folder exists or
+    not, or a function from a slot's id to such a path. Paths are relative if root is.
     """
 
     root: Path
@@ -185,7 +193,7 @@ class Session:
     truth_sunpatch = _SlotPlace("truth", "sunpatches", "{}.exr")
 
     def captured_folders(self) -> list[Path]:
-        """Return the folders in raw/, one for each slot with a bracket, in order of time."""
+        """Return the folders in raw/, one for each slot that was begun, in order of time."""
         return sorted(path for path in self.raw.glob("[0-9]*Z") if path.is_dir())
 
     def slot_bytes(self) -> float:
@@ -193,7 +201,8 @@ class Session:
 
         It is that of the plan, or of the largest of the last five complete brackets, because a
         camera's files may differ much from the profile's estimate. 0 if SITE.toml names no camera
-        profile and no bracket is complete.
+        profile and no bracket is complete. A bracket is complete if it has a capture.json. Raises
+        InputError as `table` and `site_file` do.
         """
         folders = reversed(self.captured_folders())
         latest = islice((f for f in folders if self.capture_file(f.name).is_file()), 5)
@@ -215,7 +224,7 @@ class Session:
         return sorted(path.parent for path in self.models.glob("*/config.json"))
 
     def trained_models(self) -> list[Path]:
-        """Return the model folders with config.json and weights.npz, newest first."""
+        """Return the model folders with config.json and weights.npz, newest config.json first."""
         complete = (path for path in self.model_folders() if (path / "weights.npz").is_file())
         return sorted(complete, key=lambda path: -(path / "config.json").stat().st_mtime)
 
@@ -253,7 +262,10 @@ class Session:
 
     @property
     def grace(self) -> timedelta:
-        """How late a bracket may start: the --grace of the last capture, else 300 s."""
+        """How late a bracket may start: the --grace of the last capture, else 300 s.
+
+        Raises InputError if session.toml cannot be read.
+        """
         return timedelta(seconds=self.table().get("capture", {}).get("grace_s", DEFAULT_GRACE_S))
 
 
@@ -285,7 +297,8 @@ def open_session(root: Path) -> Session:
     """Return the session of a folder.
 
     Raises InputError if `root` has no session.toml, if that is no TOML or has a value of a wrong
-    type, or if a link in the folder leads out of it.
+    type, or if the folder has a link that the user did not permit, a pipe or a device where
+    fieldlum reads or writes (`refuse_links`).
     """
     session = Session(root)
     if not session.toml.is_file():
@@ -307,9 +320,10 @@ def create_session(
 ) -> Session:
     """Write plan.csv and session.toml into a folder, and return it as a session.
 
-    root: the folder; plan_about: the table [plan]. Raises InputError if the folder is a session or
-    inside one, or has a plan.csv that fieldlum did not write. A plan.csv of fieldlum without
-    session.toml, from an interrupted plan, is written again.
+    root: the folder, which is created; setup: for the table [setup]; plan_about: the table [plan],
+    without sha256. Raises InputError if the folder is a session or inside one, or has a plan.csv
+    that fieldlum did not write. A plan.csv of fieldlum without session.toml, from an interrupted
+    plan, is written again. Raises OSError if nothing can be written.
     """
     session = Session(root)
     if session.toml.exists():
@@ -330,7 +344,10 @@ def create_session(
 
 
 def update_session(session: Session, tables: SessionTable) -> None:
-    """Write tables into session.toml; each replaces the table of the same name, others remain."""
+    """Write tables into session.toml; each replaces the table of the same name, others remain.
+
+    Raises InputError if session.toml cannot be read, OSError if it cannot be written.
+    """
     import tomli_w
 
     before = session.table() if session.toml.exists() else {}

@@ -27,11 +27,11 @@ class JournalEvent(TypedDict, total=False):
     """One line of journal.jsonl; event: its kind, such as done; t_utc: ISO time.
 
     The other keys depend on the kind, and only those that readers use are declared. slot: id; why:
-    reason; attempt: of the bracket, from 1; frame: fields of `Frame`; by_s: how late a bracket
-    began [s]; state: of the room, as ``lamp=on``; text: a remark; device: its name; after_s: time
-    for which it was lost [s]; seconds: length of a sleep, or of a step of the clock; bytes_free: on
-    the disk; pid: of the process; boot_id, boottime_s: identity of the computer's start, and the
-    seconds since.
+    reason; attempt: of the bracket, from 1; frame: fields of `Frame`; illuminance_lx: reading of a
+    meter at the lens; by_s: how late a bracket began [s]; state: of the room, as ``lamp=on``; text:
+    a remark; device: its name; after_s: time for which it was lost [s]; seconds: length of a sleep,
+    or of a step of the clock; bytes_free: on the disk; pid: of the process; boot_id, boottime_s:
+    identity of the computer's start, and the seconds since.
     """
 
     event: Required[str]
@@ -57,7 +57,7 @@ class Journal:
     """The file of a session's events, to which any thread may append; each line has a CRC.
 
     cut_bytes: size of the incomplete last line that opening moved to journal.jsonl.torn. Raises
-    InputError if the end of the file has no valid line.
+    InputError if the end of the file has no valid line, OSError if it cannot be opened.
     """
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
@@ -86,8 +86,9 @@ class Journal:
     def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
         """Append an event of a kind; with `flush` it is on the disk when this returns.
 
-        fields: the other keys of its line, such as slot or why. Raises OSError on a full disk,
-        after removing a partly written line.
+        event: the kind, such as done; fields: the other keys of its line, such as slot or why (see
+        `JournalEvent`). Raises OSError, for example on a full disk, after removing a partly written
+        line.
         """
         data = files.encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
         with self._lock, files.exclusive(self._lock_path):
@@ -105,7 +106,7 @@ class Journal:
 def read_journal(session: Session) -> list[JournalEvent]:
     """Return all valid events in the order of writing; damaged lines are skipped.
 
-    The list is empty if there is no journal.
+    The list is empty if there is no journal. Raises OSError if it cannot be read.
     """
     return [event for _, event in _lines(session) if event is not None]
 
@@ -113,7 +114,8 @@ def read_journal(session: Session) -> list[JournalEvent]:
 def damaged_lines(session: Session) -> list[int]:
     """Return the numbers, from 1, of the journal's lines that readers skip.
 
-    They are damaged or have no event of known types. A last line that is being written is omitted.
+    They are damaged, or have a value of a wrong type. A last line that is being written is omitted.
+    Raises OSError if the journal cannot be read.
     """
     return [number for number, event in _lines(session) if event is None]
 
@@ -136,7 +138,10 @@ def _lines(session: Session) -> Iterator[tuple[int, JournalEvent | None]]:
 
 
 def decode_event(line: bytes) -> JournalEvent | None:
-    """Return the event in a journal line; None for a damaged line or a value of a wrong type."""
+    """Return the event in a journal line with its CRC and line feed (see `files.encode_line`).
+
+    Return None for a damaged line or a value of a wrong type.
+    """
     row = files.decode_line(line)
     try:
         convert(row, JournalEvent, strict=True)
@@ -161,9 +166,10 @@ BY_PEOPLE = frozenset({"marked", "note", "paused", "resumed"})
 def mark_slot(session: Session, slot: str, state: str) -> str:
     """Record a state of the room at a slot, and return its state by all marks of the slot.
 
-    slot: id; state: such as ``lamp=on;blind=half``, which is appended to the journal. This is safe
-    during a capture. Raises InputError for an id that is neither in the plan nor that of a
-    panorama, and for an unknown word.
+    slot: id; state: such as ``lamp=on;blind=half`` (grammar: `room_states.parse_state`), which is
+    appended to the journal. This is safe during a capture. The result is "" for the usual room.
+    Raises InputError for an id that is neither in the plan nor that of a panorama, and for an
+    unknown word.
     """
     ids = {planned.id for planned in session.slots()}
     ids |= {path.stem for path in session.panoramas.glob("*.exr")}

@@ -39,7 +39,7 @@ class SunRow:
     north; normal_illuminance_lx: of the visible part of the disc, on a plane normal to the sun;
     visible_fraction: of its area, 0 to 1; origin: source of the illuminance, such as meter.
     bound_lx: illuminance that the panorama's own file records; if the file records another one now,
-    the row is not used.
+    by over 0.01 %, the row is not used. format: version of the file.
     """
 
     panorama: str
@@ -58,7 +58,7 @@ class SunRow:
 
 
 def write_suns(path: Path, rows: Sequence[SunRow]) -> None:
-    """Write suns.csv, a header and all rows, with its SHA-256 in suns.csv.sha256."""
+    """Write a suns.csv, a header and all rows, with its SHA-256 in NAME.sha256."""
     with sealed(path):
         write_csv(path, (asdict(row) for row in rows), [field.name for field in fields(SunRow)])
 
@@ -66,7 +66,8 @@ def write_suns(path: Path, rows: Sequence[SunRow]) -> None:
 def read_suns(path: Path) -> dict[str, SunRow]:
     """Return the rows by panorama, such as "panoramas/20270320T193000Z.exr"; empty without a file.
 
-    Raises InputError, with the line, for other content.
+    Warn if the file changed after it was written. Raises InputError, with the line, for other
+    content.
     """
     if not path.is_file():
         return {}

@@ -40,7 +40,7 @@ class Subject:
 
 
 def subject(kind: str, name: str, *parts: str) -> Subject:
-    """Return the subject of a permission, with a digest of its kind and of `parts`.
+    """Return what needs a permission as a `Subject`, with a digest of its kind and of `parts`.
 
     kind: device or link; name: as the user reads it; parts: texts that decide what happens, such as
     a path and the SHA-256 of a file.
@@ -74,12 +74,15 @@ def computer() -> str:
 
 
 def is_permitted(wanted: Subject) -> bool:
-    """Return whether the user permitted a subject on this computer."""
+    """Return whether the user permitted a subject, with the same digest, on this computer."""
     return wanted.digest in _read().get(computer(), {})
 
 
 def permit(*wanted: Subject) -> None:
-    """Record that the user permits some subjects on this computer. Raises OSError."""
+    """Record in permitted.json in `config_folder` that the user permits some subjects.
+
+    The permissions hold on this computer. Raises OSError if the file cannot be written.
+    """
     permitted = _read()
     permitted_here = permitted.setdefault(computer(), {})
     new = {w.digest: f"{w.kind} {w.name}" for w in wanted if w.digest not in permitted_here}

@@ -15,18 +15,24 @@ PLAN_COLUMNS = ("slot", "t_utc", "t_local", *_ANGLES, "exposures", "tags")
 
 
 def exposure_text(exposure: Exposure) -> str:
-    """Return an exposure as a text: ``1/250 f/5.6 ISO100``, and `` ND=name`` for a filter."""
+    """Return an exposure as a text: ``1/250 f/5.6 ISO100``, and `` ND=name`` for a filter.
+
+    The shutter time is in s, with six significant digits; see `shutter_text`.
+    """
     filtered = f" ND={exposure.nd}" if exposure.nd else ""
     shutter = shutter_text(exposure.shutter_s)
     return f"{shutter} f/{exposure.f_number:g} ISO{exposure.iso:g}{filtered}"
 
 
 def parse_exposure(text: str) -> Exposure:
-    """Return the exposure in a text such as ``1/250 f/5.6 ISO100 ND=name``; ND= is optional.
+    """Return the exposure in a text such as ``1/250 f/5.6 ISO100 ND=name``.
 
-    Raises ValueError for any other text, and for numbers that are not above 0 and finite.
+    Its words are the shutter time in s, as a decimal or as 1/N, the f-number after f/, the ISO
+    after ISO and, if a filter is used, its name after ND=. Raises ValueError for any other text,
+    and for numbers that are not above 0 and finite.
     """
     words = text.split()
+    # without a filter, an empty fourth word; fewer than three words raise ValueError
     shutter, f_number, iso, nd = [*words, "ND="][:4]
     marks = zip((f_number, iso, nd), ("f/", "ISO", "ND="), strict=True)
     if len(words) > 4 or not all(word.startswith(mark) for word, mark in marks):
@@ -41,7 +47,7 @@ def parse_exposure(text: str) -> Exposure:
 def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
     """Write slots as a plan.csv, with their local times for people who read the file.
 
-    timezone: IANA name of the zone of the local times.
+    timezone: IANA name of the zone of the local times. Raises OSError if it cannot be written.
     """
     zone = ZoneInfo(timezone)
     rows = [
@@ -62,7 +68,8 @@ def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
 def read_plan(path: Path) -> list[Slot]:
     """Return the slots of a plan, in its order.
 
-    Raises InputError for a missing file or other content.
+    Raises InputError, with the line, for a missing file or column, a cell that cannot be read, and
+    a slot whose id is not its t_utc.
     """
     expected = f"columns {', '.join(PLAN_COLUMNS)}"
     remedy = "restore the plan from a copy, or plan a new session"

@@ -52,7 +52,8 @@ def refuse_outside(root: Path, name: str, source: str, folder: str) -> None:
 def link_on_the_way(root: Path, path: Path) -> Path | None:
     """Return the first symbolic link on the way from `root` to a path below it; None without one.
 
-    The path itself may be one. A link that the user of this computer permitted does not count.
+    root itself is not checked; the path may be a link. A link that the user of this computer
+    permitted does not count.
     """
     place = root
     for part in path.relative_to(root).parts:
@@ -63,9 +64,11 @@ def link_on_the_way(root: Path, path: Path) -> Path | None:
 
 
 def link_subject(link: Path, target: Path) -> Subject:
-    """Return the subject of the permission for a link; target: the link, resolved.
+    """Return what `fieldlum permit LINK` permits: that fieldlum follows this symbolic link.
 
-    The permission ends when the target changes.
+    target: `link.resolve()`. The permission holds for this place of the link, this text in it and
+    this target: after a change of one of them the link needs a new one. Raises OSError if `link` is
+    no link.
     """
     place = link.parent.resolve() / link.name
     return subject("link", str(place), str(place), str(place.readlink()), str(target))

@@ -60,8 +60,9 @@ def _zone_places() -> dict[str, tuple[float, float]]:
 def wrong_sign_text(site: Site) -> str:
     """Return a sentence if a latitude or longitude probably has the wrong sign; else "".
 
-    It has if the site is far from the city of its time zone, and would be near with another sign or
-    with both numbers exchanged. A zone that is no city, such as UTC, is not checked.
+    It has if the site is over 1500 km from the city of its time zone, and would be at most half as
+    far with another sign or with both numbers exchanged. A zone that is no city, such as UTC, is
+    not checked.
     """
     city = _zone_places().get(site.timezone)
     lat, lon = site.latitude_deg, site.longitude_deg
@@ -69,7 +70,11 @@ def wrong_sign_text(site: Site) -> str:
         return ""
 
     def distance_km(lat: float, lon: float) -> float:
-        """Return the distance from the city, on a sphere with the Earth's mean radius."""
+        """Return the distance of a place from the city of the time zone.
+
+        lat, lon: of the place [deg], north and east positive. The Earth is a sphere with its mean
+        radius.
+        """
         return 6371.0 * math.acos(min(float(direction(lat, lon) @ direction(*city)), 1.0))
 
     near_km, which = min(
@@ -86,15 +91,19 @@ def wrong_sign_text(site: Site) -> str:
 
 
 def with_paths_from(setup: SiteFile, folder: Path) -> SiteFile:
-    """Return a site with paths of its camera profile and room file that fit any current folder.
+    """Return a site whose camera profile and room file are paths from the current folder.
 
-    The files are searched in `folder`, then in the folders above it, so that a file of the same
-    name in the current folder is not used in place of them. The name of a file that is in none of
-    them remains.
+    The two names in `setup` are searched in `folder`, then in the folders above it, so that another
+    file of the same name in the current folder is not used. A name that is in none of these, such
+    as that of a shipped profile, or that means the same file from the current folder, remains. A
+    path may be relative, so it holds only while the current folder remains the same.
     """
 
     def path_of(name: str) -> str:
-        """Return the path of a file by its name in SITE.toml; the name itself if it fits."""
+        """Return the path of the file that a name in SITE.toml means.
+
+        Return the name itself if it already is such a path, or if there is no such file.
+        """
         paths = (above / name for above in (folder, *folder.absolute().parents))
         path = next((path for path in paths if path.is_file()), None) if name else None
         is_here = path is None or (Path(name).is_file() and path.samefile(name))

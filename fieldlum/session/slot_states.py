@@ -19,8 +19,9 @@ class SlotState:
     """The state of one slot, from the journal.
 
     outcome: "" before any bracket began, "started", or final: "done", "missed", "aborted"; attempt:
-    number of the last one, from 1; frames: of that attempt, in the order of writing; why: reason of
-    the outcome, or ""; illuminance_lx: readings of a meter at the lens, during the bracket.
+    number of the last attempt at the bracket, from 1; frames: of that attempt, in the order of
+    writing; why: reason of the outcome, or ""; illuminance_lx: readings of a meter at the lens,
+    during the bracket.
     """
 
     outcome: Outcome = ""
@@ -71,7 +72,7 @@ def apply_events(events: Iterable[JournalEvent], states: SlotStates | None = Non
 
 
 def read_slot_states(session: Session) -> SlotStates:
-    """Return the state of all slots, from the journal."""
+    """Return the state of all slots, from the journal. Raises OSError if it cannot be read."""
     return apply_events(read_journal(session))
 
 
@@ -109,7 +110,8 @@ def slots_to_do(slots: Sequence[Slot], states: SlotStates) -> list[Slot]:
 def slots_ahead(session: Session, now_utc: datetime) -> list[Slot]:
     """Return the slots whose bracket is missing and may still start, in order of time.
 
-    It may start until the session's grace after the slot's time.
+    It may start until the session's grace after the slot's time. now_utc: the present time. Raises
+    InputError for a plan.csv or session.toml that cannot be used.
     """
     to_do = slots_to_do(session.slots(), read_slot_states(session))
     return [slot for slot in to_do if slot.t_utc + session.grace >= now_utc]

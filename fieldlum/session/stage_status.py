@@ -13,12 +13,14 @@ from fieldlum.session.slot_states import SETTLED, SlotStates, read_slot_states, 
 def stage_status(session: Session) -> JsonTable:
     """Return what each stage of a session has done and must still do; keys of `status --json`.
 
-    session, name: folder and site. plan: set, slots, first_utc and last_utc. capture: numbers of
-    slots done, missed, aborted and owed (still to do), frames; next: id of a slot or None;
-    device_lost, clock_steps, suspends: numbers of events; damaged_lines: of the journal.
-    irradiance: days, rows, last (date or None), cleaned. merge, pair: done, owed, usable. train:
-    models, the names. predict: years, the names. report: done. next_step: see `next_step`.
-    Raises InputError for a file of the session that cannot be read.
+    session, name: folder and site. plan: set, slots (number), first_utc and last_utc (starts of
+    slots). capture: numbers of slots done, missed, aborted and owed (still to do), and of frames;
+    next: id of a slot or None; device_lost, clock_steps, suspends: numbers of events;
+    damaged_lines: line numbers in the journal. irradiance: numbers of days and rows, last (date or
+    None), cleaned (whether clean.csv exists). merge, pair: numbers of panoramas done and owed; pair
+    also: of usable rows. train: models, the names. predict: years, the names. report: done (bool).
+    next_step: see `next_step`. Raises InputError for a file of the session that cannot be used,
+    OSError for one that cannot be read.
     """
     slots, recorded = session.slots(), read_slot_states(session)
     states = {slot.id: recorded.state(slot.id) for slot in slots}

@@ -17,11 +17,11 @@ from fieldlum.session.safe_paths import is_plain
 class Frame:
     """One frame of a bracket: its file, exposure, times and sha256.
 
-    index: place in the bracket, from 0; file: its name in the slot's folder; exposure: as planned,
-    or from EXIF if that differs, and then `doubt` is set; heading_deg: view direction, clockwise
-    from north, None without a turning head; t_utc: when the frame was requested; seconds: from then
-    until the file was on the disk; doubt: what looked wrong when the frame was checked;
-    instead_of: file of the doubtful frame that this one replaces.
+    index: place in the bracket, from 0; file: its name in the slot's folder; sha256: of the file,
+    in hex, "" if unknown; exposure: as planned, or from EXIF if that differs, and then `doubt` is
+    set; heading_deg: view direction, clockwise from north, None without a turning head; t_utc: when
+    the frame was requested; seconds: from then until the file was on the disk; doubt: what looked
+    wrong when the frame was checked; instead_of: file of the doubtful frame that this one replaces.
     """
 
     index: int
@@ -59,10 +59,11 @@ def frame_from(fields: Mapping[str, Any]) -> Frame:
 class CaptureFile(JsonFile, frozen=True):
     """The content of one capture.json.
 
-    t_open_utc: first request to the camera; t_close_utc: when the last file was on the disk;
-    complete: whether all planned frames were taken; profile: name of the camera profile;
-    heading_deg: clockwise from north; camera: fields of `CameraInfo` that are known;
-    illuminance_lx: mean reading of a meter at the lens, or None.
+    slot: id; t_open_utc: first request to the camera; t_close_utc: when the last file was on the
+    disk; complete: whether all planned frames were taken; profile: name of the camera profile;
+    heading_deg: of the panorama's centre column, clockwise from true north, None if unknown;
+    camera: fields of `CameraInfo` that are known; illuminance_lx: mean reading of a meter at the
+    lens, or None.
     """
 
     EXPECTED = "the frames of a bracket, as capture and import write them"

@@ -36,7 +36,8 @@ class HourlyFile:
 
     t_utc: middles of the hours. azimuths_deg: [d], clockwise from true north. hours: each of
     `HOUR_COLUMNS`, [n]. views: each of `VIEW_COLUMNS` and further metrics, [n, d]; columns
-    ``metric@azimuth`` in the file. NaN, an empty cell, means undefined.
+    ``metric@azimuth`` in the file. docs/file-formats.md explains each column. NaN, an empty cell,
+    means undefined.
     """
 
     t_utc: tuple[datetime, ...]
@@ -46,7 +47,7 @@ class HourlyFile:
 
     @classmethod
     def read(cls, folder: Path, azimuths_deg: Floats, count: int) -> HourlyFile:
-        """Read hourly.csv of a folder.
+        """Return the content of hourly.csv in a folder.
 
         azimuths_deg: of its view directions [d]; count: its number of rows. Warns of a file that
         changed after `write`. Raises InputError for a missing file, another number of rows or other
@@ -58,7 +59,11 @@ class HourlyFile:
         check_format(path, int(stored.get("format", np.ones(1)).max(initial=1)), FORMAT)
 
         def values_of(name: str, column: str) -> Floats:
-            """Return the values of a column of the file [count]; name: that of its metric."""
+            """Return the values of a column of the file, [count]; name: of its metric, without @.
+
+            A column that earlier versions did not write is NaN. Raises KeyError for another missing
+            one.
+            """
             if name in _LATER_COLUMNS and column not in stored:
                 return np.full(count, np.nan)
             return stored[column].astype(float)
@@ -76,7 +81,11 @@ class HourlyFile:
         return cls(times, azimuths_deg, hours, views)
 
     def write(self, folder: Path, timezone: str) -> None:
-        """Write hourly.csv into a folder; timezone: IANA name of the zone of its local times."""
+        """Write hourly.csv and hourly.csv.sha256 into a folder; floats have five digits.
+
+        timezone: IANA name of the zone of its local times. Columns of colour without any value are
+        omitted.
+        """
         zone = ZoneInfo(timezone)
         columns: dict[str, Any] = {
             "t_utc": [t.timestamp() for t in self.t_utc],

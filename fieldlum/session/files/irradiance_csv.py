@@ -21,9 +21,10 @@ _AROUND_ROWS = 30  # rows on each side for the usual time between rows; not meas
 class CleanIrradiance:
     """Global, diffuse and direct irradiance: arrays [n] in order of time [W/m2]; NaN is unusable.
 
-    t_unix_s: Unix times [s]; source: measured, or derived:dirint for a direct irradiance estimated
-    from the global; flags: words separated by spaces. Simulated irradiance has neither source nor
-    flags.
+    t_unix_s: Unix times [s]; ghi_wm2, dhi_wm2: on a horizontal plane; dni_wm2: on a plane normal to
+    the sun; source: measured, or derived:dirint for a direct irradiance estimated from the global;
+    flags: those of the quality checks, such as spike, separated by spaces (docs/capture.md).
+    Simulated irradiance has neither source nor flags: these arrays are empty.
     """
 
     t_unix_s: Floats
@@ -45,7 +46,7 @@ class CleanIrradiance:
 
     @classmethod
     def read(cls, path: Path) -> CleanIrradiance:
-        """Read a clean.csv; warn if it changed after `write`.
+        """Return the content of a clean.csv; warn if it changed after `write`.
 
         Raises InputError for a missing file or other content.
         """
@@ -65,9 +66,10 @@ class CleanIrradiance:
 
     @classmethod
     def read_truth(cls, path: Path) -> CleanIrradiance:
-        """Read simulated irradiance, which has two or more rows to interpolate between.
+        """Return simulated irradiance, of a truth/irradiance.csv; it has two or more rows.
 
-        Raises InputError for other content, times that do not increase, and an empty cell.
+        Raises InputError for a missing file, other content, fewer rows, times that do not increase,
+        and an empty cell.
         """
         remedy = "write the file again with: fieldlum simulate"
         table = cls._read(path, (), remedy)
@@ -79,7 +81,10 @@ class CleanIrradiance:
         return table
 
     def write(self, path: Path) -> None:
-        """Write all rows; without source and flags, these columns are omitted."""
+        """Write all rows to the csv `path`, with its SHA-256 in NAME.sha256.
+
+        Without source and flags, these columns are omitted.
+        """
         columns: dict[str, Any] = {"t_utc": self.t_unix_s}
         columns |= {name: getattr(self, name) for name in (*_NUMBERS[1:], "source", "flags")}
         write_columns(path, {name: v for name, v in columns.items() if len(v) or name in _NUMBERS})

@@ -21,9 +21,10 @@ MAX_HEIGHT = 4096
 
 
 class TrainingNote(Struct, frozen=True):
-    """What a model was trained with: the csv `source`, ids of its slots, and their dates.
+    """What a model was trained with.
 
-    days: dates in local standard time, such as 2027-03-20.
+    source: path of the pairs.csv or session; slots: ids; days: dates of the slots in local standard
+    time, such as 2027-03-20.
     """
 
     source: str = ""
@@ -43,9 +44,12 @@ stated_heading_deg: heading of the captures.
 class ModelConfig(JsonFile, frozen=True):
     """The content of one config.json.
 
-    height, width: of its maps [px], 0 if not stated; heading_deg: azimuth of their centre column;
-    setup: SITE.toml as a table; untrusted: whether errors of held-out days are so large that no
-    hour is trusted; state: all keys, from which `from_state` builds the model.
+    model: name of its kind, such as transport; height, width: of its maps [px], 0 if not stated;
+    heading_deg: azimuth of their centre column, clockwise from true north, None if not stated;
+    patch: use of sun patches, "absolute", "gain" (up to a factor) or "none"; seed: of random
+    numbers in training; setup: SITE.toml as a table; training: see `TrainingNote`; untrusted:
+    whether errors of held-out days are so large that no hour is trusted; state: all keys, from
+    which `from_state` builds the model.
     """
 
     NAME = "config.json"
@@ -107,7 +111,10 @@ class ScoresFile(JsonFile, frozen=True):
     """The content of one scores.json, which is a `TrainAnswer` without `kept`.
 
     models: one row for each model, as `ScoreRow`, of which earlier versions wrote fewer keys;
-    chosen: name of the chosen one.
+    chosen: name of the chosen one; reason: of the choice, a sentence; parameters: their number in
+    the chosen model; final_fit_s: time to fit it to all captures [s]; year: expected errors and
+    trusted share of a year, None if not computed; notes: sentences; inputs: what the scores depend
+    on, to detect a change; model_sha256: of the model's files.
     """
 
     NAME, SEALED = "scores.json", True
@@ -160,13 +167,17 @@ class HeldOutMaps:
 
     @classmethod
     def join(cls, parts: Sequence[HeldOutMaps]) -> HeldOutMaps | None:
-        """Return the maps of several folds as one object; None without any fold."""
+        """Return the maps of several folds as one object, in their order; None without any fold."""
         if not parts:
             return None
         return cls(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in _ARRAYS})
 
     def write(self, folder: Path) -> None:
-        """Write held_out.npz: at most 150 hours, spread evenly from best to worst prediction."""
+        """Write held_out.npz into a folder: at most 150 hours.
+
+        These are spread evenly from the best to the worst prediction by log10_mse, and written in
+        the order of the folds.
+        """
         order = np.argsort(self.log10_mse, kind="stable")
         kept = np.sort(order[evenly_spread(len(order), MAX_MAPS)])
         arrays: dict[str, Any] = {name: getattr(self, name)[kept] for name in _ARRAYS}
@@ -175,7 +186,7 @@ class HeldOutMaps:
 
     @classmethod
     def find(cls, folder: Path) -> HeldOutMaps | None:
-        """Read held_out.npz of a folder; return None if it is missing, as in models of 0.1.0.
+        """Return the maps in held_out.npz of a folder; None without it, as in models of 0.1.0.
 
         Raises InputError for other content.
         """

@@ -26,13 +26,15 @@ _REMEDY = "correct that cell, or set ok = 0"
 class PairRow:
     """One panorama and its light: the mean irradiances during its bracket.
 
-    panorama, sunpatch: paths relative to the csv. An empty text means that there is none; NaN means
-    unknown. source: of the irradiance; sun_altitude_deg: true, without refraction;
-    sun_azimuth_deg: clockwise from true north; steadiness: range of the global irradiance over its
-    mean; sun_in_map: whether the pictures contain the disc; refraction: False for a rendering that
-    shows the sun at its true altitude; ok: whether the row may be used; why: the reason if not, or
-    a caution; doubtful: whether a usable row's irradiance is too uncertain to judge pictures by;
-    state: of the room, such as lamp=on; line: number of the line in the csv, from 1, 0 if not read.
+    t_utc: middle of the bracket. panorama: its picture, sunpatch: a panorama of direct sun only;
+    both paths relative to the csv. An empty text means that there is none; NaN means unknown.
+    source: of the irradiance, measured or derived:dirint; sun_altitude_deg: true, without
+    refraction; sun_azimuth_deg: clockwise from true north; steadiness: range of the global
+    irradiance over its mean; sun_in_map: whether the pictures contain the disc; refraction: False
+    for a rendering that shows the sun at its true altitude; ok: whether the row may be used; why:
+    the reason if not, or a caution; doubtful: whether a usable row's irradiance is too uncertain to
+    judge pictures by; format: version of the file; state: of the room, such as lamp=on; line:
+    number of the line in the csv, from 1, 0 if not read.
     """
 
     t_utc: datetime
@@ -80,10 +82,11 @@ class PairsFile:
 
     @classmethod
     def read(cls, path: Path) -> PairsFile:
-        """Read the file; numbers in rows with ok = 0 are not read.
+        """Return the content of a pairs.csv; numbers in rows with ok = 0 are not read.
 
         Raises InputError for a missing file, a missing required column, a newer format, or a wrong
-        cell, with its line. Warns of a file that changed after `write`.
+        cell, with its line; also, if the csv is in a session, for a picture outside the session and
+        for a link that the user did not permit. Warns of a file that changed after `write`.
         """
         expected = f"a csv with the columns {', '.join(NEEDED)}, as fieldlum pair writes"
         table = read_table(path, expected, "name the columns in the first line", needed=NEEDED)
@@ -97,11 +100,14 @@ class PairsFile:
 
     @classmethod
     def find(cls, path: Path) -> PairsFile:
-        """Read the file as `read` does; a missing file has no rows."""
+        """Return the content as `read` does, with the same errors; a missing file has no rows."""
         return cls.read(path) if path.is_file() else cls(path, ())
 
     def write(self) -> None:
-        """Write `PAIR_COLUMNS` of all rows, which lack state and refraction; NaN: an empty cell."""
+        """Write `PAIR_COLUMNS` of all rows to `path`, with its SHA-256 in NAME.sha256.
+
+        These columns lack state and refraction. NaN becomes an empty cell.
+        """
         with sealed(self.path):
             write_csv(self.path, (asdict(row) for row in self.rows), PAIR_COLUMNS)
 
@@ -161,11 +167,12 @@ def _was_doubtful(cells: dict[str, str]) -> str:
 def write_simulated_pairs(session: Session, rows: tuple[PairRow, ...]) -> None:
     """Write truth/pairs.csv; also write pairs.csv, unless it has pairs of merged panoramas.
 
-    rows: with paths relative to the session's folder.
+    rows: with paths relative to the session's folder. Raises InputError if the present pairs.csv
+    cannot be used.
     """
 
     def below_truth(path: str) -> str:
-        """Return a path relative to truth/; an empty one remains."""
+        """Return a path, which is relative to the session, relative to truth/; "" remains."""
         return posixpath.relpath(path, "truth") if path else ""
 
     in_truth = tuple(

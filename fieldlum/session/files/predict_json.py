@@ -34,7 +34,7 @@ class DirectionYear(Struct, frozen=True):
 class YearOccupancy(Struct, frozen=True):
     """The occupied hours of a year.
 
-    text: which hours they are, in words; hours: their number; lit: number of those with daylight;
+    text: which hours these are, in words; hours: their number; lit: number of those with daylight;
     untrusted_share: share (0 to 1) of the lit hours in which the model does not trust its maps;
     unsure_share: share of the lit hours with such a map or with a wide interval of DGP, None in
     files of earlier versions.
@@ -62,11 +62,15 @@ class YearWeather(Struct, frozen=True):
 class PredictFile(JsonFile, frozen=True):
     """The content of one predict.json.
 
-    inputs: what the result depends on; setup: SITE.toml; height, width: of the maps [px];
-    heading_deg: of their centre column; hours: number of rows of hourly.csv; first, last: their UTC
-    times; disc_from: how the visibility of the sun's disc is known; seen_share: share of each view
-    direction that the lenses saw, empty if all of it; u_scale_rel: relative standard uncertainty of
-    the captures' scale; protection: glare by direction.
+    software: versions by name; inputs: what the result depends on, to detect a change; model: name
+    of its kind, such as transport; setup: SITE.toml as a table; height, width: of the maps [px];
+    heading_deg: azimuth of their centre column; azimuths_deg: of the d view directions; azimuths
+    are clockwise from true north; hours: number of rows of hourly.csv, one for each daylight hour;
+    days: number of days of the weather; first, last: UTC times of the first and the last row;
+    disc_from: how the visibility of the sun's disc is known; seen_share [d]: share (0 to 1) of a
+    uniform field's vertical illuminance that comes from where the lenses saw, empty if they saw
+    everything; u_scale_rel: relative standard uncertainty of the captures' scale; model_warnings,
+    notes: sentences; protection: glare by direction, [d].
     """
 
     NAME, SEALED = "predict.json", True

@@ -27,9 +27,10 @@ from fieldlum.session.plan_file import exposure_text, parse_exposure
 class FrameQuality(Struct, frozen=True):
     """How one frame fits into its bracket.
 
-    text: its exposure in words; shutter_s, f_number, iso, nd: the same as numbers. correction:
-    fitted over assumed exposure; u_percent: its standard uncertainty. heading_deg: clockwise from
-    north; None without a turning head.
+    file: name of the frame; text: its exposure in words; shutter_s, f_number, iso, nd: the same as
+    numbers, and the filter's name. correction: fitted over assumed exposure; u_percent: standard
+    uncertainty of the correction. heading_deg: clockwise from true north; None without a turning
+    head. t_utc: when the frame was requested; None if unknown.
     """
 
     file: str
@@ -47,7 +48,8 @@ class FrameQuality(Struct, frozen=True):
     def of(cls, file: str, exposure: Exposure, correction: float, **more: Any) -> Self:
         """Return the quality of a frame, with the text and the numbers of its exposure.
 
-        file: name of the frame; correction: fitted over assumed exposure; more: the other fields.
+        file: name of the frame; correction: fitted over assumed exposure; more: u_percent,
+        heading_deg and t_utc, if they are known.
         """
         return cls(file, exposure_text(exposure), **asdict(exposure), correction=correction, **more)
 
@@ -91,13 +93,19 @@ class ShiftQuality(Struct, frozen=True):
 class MergeReport(Struct, frozen=True):
     """The figures of one merged bracket; shares are percent of the solid angle seen.
 
-    None or empty: not determined, or not written by the version of the sidecar. residual_percent:
-    largest disagreement of neighbouring frames; shift_px: of the surest turn; outside_percent: of
-    all directions; exposure_span_percent: range of fitted over stated exposures; deviations: a text
-    for each heading whose exposures differ from the profile's; noise_over_profile: 1 if not larger;
-    plateau_dn: saturation of R, G1, G2, B by ISO; black_off_dn: the files' black level minus the
-    profile's; u_ratio_percent: standard uncertainty from the exposures; lost: frames that could not
-    be read; filter_absent: frames that were taken without the filter of their label.
+    None or empty: not determined, or not written by the version of the sidecar. frames, neighbours,
+    shifts: one for each frame, pair of neighbouring frames, and turn. residual_percent: largest
+    disagreement of neighbouring frames; shift_px, shift_u_px: of the surest turn, and its standard
+    uncertainty; clipped_percent, bloom_percent, motion_percent, below_noise_percent: share with
+    this `Flag`; outside_percent: share of all directions that no lens sees; exposure_span_percent:
+    range of fitted over stated exposures; deviations: a text for each heading whose exposures
+    differ from the profile's; noise_over_profile: standard deviation of the raw noise over the
+    profile's, 1 if not larger; plateau_dn: saturation of R, G1, G2, B [DN] by ISO, None where none
+    was found; black_off_dn: the files' black level minus the profile's [DN]; shutter_law: see
+    `ShutterLaw`; u_ratio_percent: standard uncertainty from the exposures; orientation_conflict:
+    how EXIF contradicts the profile's roll; vertical_illuminance_lx: at the camera, on a plane that
+    faces its heading; lost: frames that could not be read; filter_absent: frames that were taken
+    without the filter of their label.
     """
 
     frames: tuple[FrameQuality, ...] = ()
@@ -159,10 +167,10 @@ class MeasuredSun(Struct, frozen=True):
 class SidecarSun(Struct, frozen=True):
     """The sun's disc that was removed from a panorama.
 
-    Angles are apparent ones, by the ephemeris. normal_illuminance_lx: at the lens, on a plane
-    normal to the sun; u_mosaic_percent: its standard uncertainty because few pixels are under the
-    disc. origin: how it was measured; lower_bound: every frame is clipped at the disc; measured:
-    where the pictures show it, or None.
+    Angles are apparent ones, by the ephemeris; azimuth_deg: clockwise from true north.
+    normal_illuminance_lx: at the lens, on a plane normal to the sun; u_mosaic_percent: its standard
+    uncertainty because few pixels are under the disc. origin: how it was measured; lower_bound:
+    every frame is clipped at the disc; measured: where the pictures show it, or None.
     """
 
     altitude_deg: float | None = None
@@ -205,7 +213,10 @@ class Sidecar(JsonFile, frozen=True):
         require_known_year(self.t_utc, measured.t_utc if measured else None, *frames)
 
     def fits(self, panorama: Path) -> bool:
-        """Return whether a panorama has the recorded content, or none is recorded."""
+        """Return whether a panorama has the recorded SHA-256, or none is recorded.
+
+        Raises OSError if the panorama cannot be read.
+        """
         return self.sha256 in ("", sha256(panorama))
 
     @classmethod
@@ -221,8 +232,9 @@ class Sidecar(JsonFile, frozen=True):
 def warn_if_picture_changed(picture: Path, stage: str = "merge") -> None:
     """Warn with ChangedFileWarning if a picture changed after its stage wrote it.
 
-    It did if its SHA-256 is not that of its sidecar; a picture without one counts as unchanged.
-    stage: the command that writes it.
+    It did if its SHA-256 is not the one that its sidecar (the JSON file of the same name) records;
+    a picture without a readable sidecar counts as unchanged. stage: the command that writes it.
+    Raises OSError if the picture cannot be read.
     """
     with suppress(InputError):
         sidecar = read_object(picture.with_suffix(".json"), "", "")
