@@ -125,9 +125,9 @@ class Camera(Device, ABC):
 
 
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
-    """Return the reasons why the camera cannot take some exposures; empty if it can take all.
+    """Return the reasons why the camera cannot take some of these exposures; empty if it can.
 
-    Exposures that are rejected for the same reason give it once.
+    A reason is a text of `check_offered`; if it is that of several exposures, it is returned once.
     """
     reasons: list[str] = []
     for exposure in exposures:
@@ -182,7 +182,10 @@ class Pyranometer(Device, ABC):
         """
 
     def refused(self) -> list[str]:
-        """Return the lines rejected since the last call (the newest 100), each with the reason."""
+        """Return the lines rejected since the last call (the newest 100), each with the reason.
+
+        Here there are none; instruments that send lines by themselves override the method.
+        """
         return []
 
 
@@ -271,9 +274,8 @@ def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Ca
 
     clock : gives the time, and waits for the camera. session : the simulator reads its SITE.toml
     and its rendered panoramas, rpicam its planned aperture; other drivers ignore it. Raises
-    DeviceError for a
-    malformed URI, an unknown scheme or option, or a missing camera; InputError for a file of the
-    session or a camera profile that cannot be used.
+    DeviceError for a malformed URI, an unknown scheme or option, or a missing camera; InputError
+    for a file of the session or a camera profile that cannot be used.
     """
     return _open(uri, CAMERAS, "camera", clock=clock, session=session)
 

@@ -31,10 +31,11 @@ _SAFE_SCHEMES = ("sim", "gphoto", "rpicam")  # their place is a word or a number
 
 
 def permission_subject(text: str) -> Subject | None:
-    """Return the subject of a permission for a device address; None if it names only a device.
+    """Return what the user must permit before a device address of a session is used.
 
-    Its digest changes with the content of a named file and with the target of a named folder.
-    Raises DeviceError for a text that is no address.
+    It is None if the address `text` names only a device. The digest of the result changes with the
+    text, the content of a named file and the target of a named folder. Raises DeviceError for a
+    text that is no address.
     """
     uri = parse_uri(text)
     not_devices = []
@@ -53,9 +54,12 @@ def permission_subject(text: str) -> Subject | None:
 
 
 def _path_and_digest(value: str) -> str:
-    """Return the path that an option or place names, without links, and a file's SHA-256.
+    """Return the path that a value names, without links, a space and, for a file, its SHA-256.
 
-    value: a program, file, folder or network address. An impossible path is returned unchanged.
+    Both decide what happens: a link can get another target, and a file another content. value: of
+    an option, or the place of an address: a program, file, folder or network address. A network
+    address is treated as a path in the current folder, which is not there; so its permission holds
+    for commands that are started in this folder. An impossible path is returned unchanged.
     """
     path = Path(shutil.which(value) or value)
     try:

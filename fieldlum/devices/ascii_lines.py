@@ -183,7 +183,10 @@ def _words_by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     """
 
     def without_repeated_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
-        """Return the keys and values of a JSON object; raise ValueError for a repeated key."""
+        """Return a JSON object as a dict; raise ValueError for a repeated key.
+
+        pairs: its keys and values, as json passes them.
+        """
         if len(dict(pairs)) < len(pairs):
             raise ValueError("a key occurs twice")
         return dict(pairs)
@@ -244,7 +247,7 @@ class LineForm:
         self._forms: deque[str] = deque(maxlen=_RECENT_LINES)
 
     def difference(self, text: str) -> str:
-        """Return how a line differs in form from earlier lines, and store its form.
+        """Return how a line differs in form from earlier lines, and store its form; text: the line.
 
         The result is "" for the usual form, for the first 20 lines, and while two of the earlier
         lines have another form: after a permanent change, two lines are rejected, then the new form

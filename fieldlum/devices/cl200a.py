@@ -89,11 +89,11 @@ def _value(text: str) -> float:
 
 
 def parse_answer(reply: bytes) -> float:
-    """Return the illuminance [lx] in the meter's answer to command 02 (read Ev, x and y).
+    """Return the illuminance [lx] in a CL-200A's answer to command 02 (read Ev, x and y).
 
-    Raises DeviceError for a damaged answer, an error that the meter reports, an illuminance outside
-    0 to 200 000 lx, or an impossible x or y; NotReady, a DeviceError, if the meter changes its
-    range or has not measured yet.
+    reply: a frame (`unframe`). Raises DeviceError for a damaged answer, an error that the meter
+    reports, an illuminance outside 0 to 200 000 lx, or an impossible x or y; NotReady, a
+    DeviceError, if the meter changes its range or has not measured yet.
     """
     body = unframe(reply)
     answer = _ANSWER.fullmatch(body)
@@ -116,11 +116,11 @@ def parse_answer(reply: bytes) -> float:
 
 
 def parse_t10_answer(reply: bytes, head: int) -> float:
-    """Return the illuminance [lx] at a T-10's receptor head (0 to 29).
+    """Return the illuminance [lx] in a T-10's answer about a receptor head; head: 0 to 29.
 
-    Raises DeviceError for a damaged answer, one of another head, an error that the meter reports,
-    or an illuminance outside 0 to 299 900 lx, its range; NotReady, a DeviceError, while the meter
-    has no range.
+    reply: a frame (`unframe`). Raises DeviceError for a damaged answer, one of another head, an
+    error that the meter reports, or an illuminance outside 0 to 299 900 lx, its range; NotReady, a
+    DeviceError, while the meter has no range.
     """
     body = unframe(reply)
     answer = _T10_ANSWER.fullmatch(body)
@@ -223,8 +223,7 @@ def open_meter(uri: DeviceUri, *, clock: Clock) -> FramedMeter:
     """Open the meter of ``cl200a:/dev/serial/by-id/...`` or ``t10a:/dev/serial/by-id/...?head=3``.
 
     clock: waits for the meter. Options: parity, E (default) or N; of t10a also head, 0 (default) to
-    29. Raises DeviceError for
-    an unknown option or value, a missing port, or no answer.
+    29. Raises DeviceError for an unknown option or value, a missing port, or no answer.
     """
     options = uri.read(_ChainOptions if uri.scheme == "t10a" else _Options)
     head = options.head if isinstance(options, _ChainOptions) else None

@@ -29,8 +29,9 @@ class Clock:
 class FastClock(Clock):
     """A simulated clock: `sleep` returns at once and moves its time forward.
 
-    start : first time, with a time zone; true_utc : time of the simulated sun, which a subclass
-    whose clock is wrong does not return as `now`. Raises ValueError for a start without a zone.
+    start : first time, with a time zone; true_utc : the simulated time, which `now` returns. A
+    subclass can simulate a wrong clock by another `now`; the simulated sun follows true_utc. Raises
+    ValueError for a start without a zone.
     """
 
     def __init__(self, start: datetime) -> None:

@@ -48,7 +48,8 @@ Serve = Callable[[Connection], None]
 def setting_value(text: str) -> float | None:
     """Return the number in a camera's text of a setting: shutter time [s], f-number or ISO.
 
-    Texts are such as 1/250, 0.0040s, f/5.6 and ISO 100. None for Bulb, Auto and other words.
+    A text is a decimal or a fraction, after f/ or ISO or before s, such as 1/250, 0.0040s, f/5.6
+    and ISO 100. None for Bulb, Auto and other words.
     """
     match = _NUMBER.fullmatch(text.strip())
     if match is None or (match[2] is not None and not float(match[2])):
@@ -322,7 +323,8 @@ class _Driver:
     def expose(self, target: str, delete: bool) -> str:
         """Take a picture, copy it to `target` plus its suffix, and return the path.
 
-        From a pair of raw and JPEG only the raw file is copied.
+        From a pair of raw and JPEG only the raw file is copied. delete: delete all files of the
+        picture on the card afterwards. Raises OSError if the copy cannot be written.
         """
         gp, camera = self.gp, self._camera
         for _ in range(50):  # discard events of earlier pictures; a camera has fewer

@@ -62,7 +62,8 @@ class LoggerFile:
     """The content of a logger's file.
 
     samples : readings, in order of time when `read_logger_file` returns them; left_out : a text on
-    each line that could not be read; notes : texts on which columns were read, and how.
+    each line that could not be read, for a day file one text on their number; notes : texts on
+    which columns were read, and how.
     """
 
     samples: tuple[IrradianceSample, ...]
@@ -111,8 +112,8 @@ def read_logger_file(
 
     utc_offset : the logger's clock minus UTC, needed if the times have no zone; it never moves
     times that are stated in UTC. columns : names of the columns of some quantities (ghi_wm2 ...),
-    or their numbers in a csv without names; the others are found by their usual names: the quantity
-    itself, or names like SlrW and GHI where the file states their unit. sensitivities : of
+    or their numbers, from 1, in a csv without names; the others are found by their usual names: the
+    quantity itself, or names like SlrW and GHI where the file states their unit. sensitivities : of
     pyranometers whose column is a voltage, uV per W/m2.
 
     A damaged row is omitted, with a text in `left_out`. Raises InputError for a file that cannot be
@@ -335,7 +336,10 @@ def _called_bad(stored: Any, name: str) -> Mask:
     scale, offset = attributes.get("scale_factor", 1.0), attributes.get("add_offset", 0.0)
 
     def in_unit(limit: Any) -> float:
-        """Return a limit in the variable's unit; integers are scaled like values; NaN for texts."""
+        """Return a limit in the variable's unit; NaN for a text.
+
+        limit: a number of numpy, from an attribute; an integer is scaled like the stored values.
+        """
         if limit.dtype.kind in "iu":
             return float(limit * scale + offset)
         return float(limit) if limit.dtype.kind == "f" else math.nan

@@ -72,10 +72,11 @@ class RegisterBlock:
 class Entry:
     """One value of a register profile, such as irradiance_wm2 or the serial number.
 
-    register : number of its first register; scale : factor from the number to the unit of the name;
-    power10_register : register of a power of ten by which the number is divided (Kipp & Zonen);
-    words : number of registers of a text; allow : values of a status word that mean no fault; empty
-    if it is not checked.
+    register : number of its first register; type : an unsigned or signed integer (u, s) or a float
+    (f) of 16 or 32 bits, a date (32 bits, such as 20260115) or a text (ASCII); scale : factor from
+    the number to the unit of the name; power10_register : register of a power of ten by which the
+    number is divided (Kipp & Zonen); words : number of registers of a text; allow : values of a
+    status word that mean no fault; empty if it is not checked.
     """
 
     name: str
@@ -104,10 +105,11 @@ class Entry:
 class RegisterProfile:
     """Description of the registers of a kind of instrument: calibration/instruments/KIND.toml.
 
-    source : document that the registers are from; poll : blocks that are read for each reading;
-    at_open : more blocks, which are read once; entry : the values in the blocks; function : Modbus
-    function that reads holding (3) or input (4) registers; largest_request : most registers of one
-    request; note : about the unit number, for an error. 32-bit values have their high word first.
+    kind, maker, models : names of the instrument; source : document that the registers are from;
+    poll : blocks that are read for each reading; at_open : more blocks, which are read once; entry
+    : the values in the blocks; function : Modbus function that reads holding (3) or input (4)
+    registers; largest_request : most registers of one request; line : factory settings; note :
+    about the unit number, for an error. 32-bit values have their high word first.
     """
 
     kind: str
@@ -285,7 +287,7 @@ class ModbusPyranometer(Pyranometer):
             answers = [self._ask(unit, blocks)[0] for unit in units.values()]
 
         def texts(name: str) -> list[str]:
-            """Return the texts of an entry of the profile that instruments answered."""
+            """Return the texts that the instruments answered for an entry; name: of the entry."""
             return [text for answer in answers if (text := answer.texts.get(name))]
 
         names = ("model", "serial", "firmware", "sensitivity")

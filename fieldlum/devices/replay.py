@@ -37,7 +37,10 @@ def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
         raise DeviceError(f"replay: no frames in {folder}; {expected}; name another folder")
 
     def camera_time(frame: tuple[Path, FrameInfo]) -> datetime:
-        """Return a frame's time on the camera's clock, as UTC if it has no zone; late for none."""
+        """Return a frame's time on the camera's clock, read as UTC if it has no zone.
+
+        A frame without a time gets the last time that Python has.
+        """
         t_camera = frame[1].t_camera or datetime.max.replace(tzinfo=UTC)
         return t_camera if t_camera.tzinfo else t_camera.replace(tzinfo=UTC)
 

@@ -43,7 +43,10 @@ _CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[")
 
 
 class FrameMetadata(Struct, frozen=True):
-    """What rpicam-still reports about a frame: shutter time [us] and two gains (factors)."""
+    """What rpicam-still reports about a frame: shutter time [us] and two gains (factors).
+
+    In its JSON they are ExposureTime, AnalogueGain and DigitalGain.
+    """
 
     shutter_us: _Positive = field(name="ExposureTime")
     analogue_gain: _Positive = field(name="AnalogueGain")

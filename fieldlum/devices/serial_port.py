@@ -16,7 +16,10 @@ except ImportError:  # Windows
 
 @contextmanager
 def device_errors(port: str) -> Iterator[None]:
-    """Replace errors of a serial port in the `with` block by a DeviceError; port: name for it."""
+    """Replace errors of a serial port in the `with` block by a DeviceError.
+
+    port: name of the port, with which the error's text begins.
+    """
     try:
         yield
     except (OSError, _TermiosError) as error:
@@ -86,8 +89,8 @@ class SerialPort:
     def __init__(self, place: str, line: SerialLine, *, timeout_s: float) -> None:
         """Open a port.
 
-        place: device file, or usb=VID:PID or usb=VID:PID:SERIAL; timeout_s: longest wait of a read
-        or write.
+        place: device file, or usb=VID:PID or usb=VID:PID:SERIAL (see `resolve`); line: settings;
+        timeout_s: longest wait of a read or write.
         """
         import serial
 

@@ -128,7 +128,8 @@ class ThetaCamera(Camera):
     def check_offered(self, exposure: Exposure) -> None:
         """Raise DeviceError for a setting that is over 1/6 EV from every step of the camera.
 
-        The aperture is not checked if the camera reports no apertures.
+        Settings are shutter time, ISO and aperture. The aperture is not checked if the camera
+        reports no apertures.
         """
         self._settings_for(exposure)
 

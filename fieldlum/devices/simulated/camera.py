@@ -167,8 +167,8 @@ class SimulatedCamera(Camera):
         """Point the camera.
 
         heading_deg: azimuth of its view, clockwise from true north, unless `expose` states another;
-        seed: of the noise; clock_offset_s: its clock minus the computer's; overhead_s: time of a
-        frame in addition to its shutter time, None for the profile's.
+        seed: of the noise; clock_offset_s: its clock minus the computer's [s]; overhead_s: time of
+        a frame [s] in addition to its shutter time, None for the profile's.
         """
         self._world, self._profile, self._clock = world, profile, clock
         self._heading_deg, self._seed = heading_deg, seed
@@ -185,9 +185,10 @@ class SimulatedCamera(Camera):
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one frame and return its file, `target` plus a suffix.
 
-        heading_deg : view direction; None: that of the camera. The clock advances by the overhead
-        plus the shutter time. Raises DeviceError for a setting that the camera does not have, and
-        for a time without a picture in the session's truth/.
+        heading_deg : view direction, clockwise from true north; None: that of the camera. The clock
+        advances by the overhead plus the shutter time. Raises DeviceError for a setting that the
+        camera does not have, and for a time without a picture in the session's truth/; InputError
+        for a picture there that cannot be read.
         """
         dial_s = self._dial_s(exposure)
         set_to = replace(exposure, shutter_s=dial_s)

@@ -104,8 +104,8 @@ def _panorama_pixels(rays: Floats, panorama: tuple[int, int]) -> NDArray[np.int3
 def channels(panorama: Panorama) -> Floats32:
     """Return R, G, B of each pixel of a panorama [cd/m2], [H * W, 3], row by row.
 
-    They are Radiance's, with luminance .265 R + .670 G + .065 B. A panorama without colour gives
-    its luminance, [H * W, 1].
+    They are 179 lm/W times Radiance's, so that .265 R + .670 G + .065 B is the luminance. A
+    panorama without colour gives its luminance, [H * W, 1].
     """
     from fieldlum.optics.images import RADIANCE_LM_PER_W
 

@@ -123,7 +123,10 @@ class Office:
         self._light_of = lru_cache(maxsize=16)(self._light_at)
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        """Return the irradiance at the start of the minute: Ineichen's clear sky, with clouds."""
+        """Return the irradiance at the start of the minute: Ineichen's clear sky, with clouds.
+
+        One covered share, which `seed` and the UTC day choose, holds for the day.
+        """
         return self._light_of(t_utc.replace(second=0, microsecond=0))
 
     def _light_at(self, t_utc: datetime) -> SimulatedLight:
@@ -143,7 +146,7 @@ class Office:
         return SimulatedLight(ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni)
 
     def scene(self, t_utc: datetime) -> Panorama:
-        """Return the panorama at the start of the minute."""
+        """Return the office's panorama at the start of the minute; it has no sun's disc."""
         return self._scene_of(t_utc.replace(second=0, microsecond=0))
 
     @cached_property
