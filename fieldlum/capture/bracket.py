@@ -47,12 +47,13 @@ NO_CHECKS = FrameChecks()
 class BracketCapture:
     """Takes the missing frames of one slot (`take`).
 
-    A doubtful frame is taken once more while the slot's window is open, unless an earlier second
-    frame of the bracket is doubtful too. state: from the journal, with the frames already taken;
-    deadline: the end of the slot's window. between: called with each frame, and with None while
-    waiting, to log irradiance and to refresh the display. meter: illuminance meter, read before the
-    first and after the last frame, None without one; frame_bytes: size of the largest frame so far,
-    for which the disk must have space. folder: of the slot's files; requests: all planned frames.
+    setup: with the headings; camera: holds the camera; recorder: writes the journal. A doubtful
+    frame is taken once more while the slot's window is open, unless an earlier second frame of the
+    bracket is doubtful too. state: from the journal, with the frames already taken; deadline: the
+    end of the slot's window. between: called with each frame, and with None while waiting, to log
+    irradiance and to refresh the display. meter: illuminance meter, read before the first and after
+    the last frame, None without one; frame_bytes: size of the largest frame so far, for which the
+    disk must have space. folder: of the slot's files; requests: all planned frames.
     """
 
     session: Session
@@ -116,8 +117,8 @@ class BracketCapture:
     def resumable(self) -> bool:
         """Return whether an interrupted bracket can be continued with the frames that it has.
 
-        It can if all frames exist, or if one ended at most a minute ago, so that the light is still
-        the same.
+        It can if all frames exist, or if one ended at most a minute ago (chosen), so that the light
+        is still the same.
         """
         earliest = self.clock.now() - timedelta(seconds=_MAX_FRAME_PAUSE_S)
         ends = [frame.t_utc + timedelta(seconds=frame.seconds) for frame in self.state.frames]
@@ -232,7 +233,10 @@ class BracketCapture:
         target = self.folder / f".{request.stem}.{os.getpid()}.{self.state.attempt}.{begun_s:.3f}"
 
         def take(camera: Camera) -> tuple[Path, Exposure]:
-            """Return the file that the camera wrote, and the exposure that it reports."""
+            """Return the file that the camera wrote, and the exposure that it reports.
+
+            Without a report it is the planned exposure. camera: the opened one.
+            """
             written = camera.expose(nominal, target, heading_deg=request.heading_deg)
             return written, camera.exposure_taken(written) or nominal
 
@@ -336,9 +340,10 @@ class _Away(DeviceError):
 
 @dataclass(frozen=True, slots=True)
 class FrameRequest:
-    """One frame to take: its number in the bracket (from 0), its exposure, and the heading.
+    """One frame to take.
 
-    heading_deg: clockwise from north; None without a turned head.
+    index: its number in the bracket, from 0; heading_deg: azimuth of the view, clockwise from true
+    north; None without a turned head.
     """
 
     index: int
@@ -354,7 +359,10 @@ class FrameRequest:
 
 
 def frame_requests(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:
-    """Return the frames of a bracket: all exposures at the first heading, then at the next."""
+    """Return the frames of a bracket: all exposures at the first heading, then at the next.
+
+    setup: with the headings; without any, the frames have the heading None.
+    """
     pairs = product(setup.headings or (None,), exposures)
     return tuple(FrameRequest(i, exposure, heading) for i, (heading, exposure) in enumerate(pairs))
 
@@ -370,9 +378,10 @@ def write_capture(
 ) -> None:
     """Write capture.json, from which `merge` reads a slot's frames, into the slot's folder.
 
-    The file is complete or absent. state: with the frames and the illuminances [lx], whose mean is
-    written; complete: whether all planned frames were taken; camera: what the camera reports about
-    itself. Raises ValueError if the state has no frame.
+    The file is complete or absent. folder: raw/SLOT; state: with the frames and the illuminances
+    [lx], whose mean is written; setup: whose profile and heading are written; complete: whether all
+    planned frames were taken; camera: what the camera reports about itself. Raises ValueError if
+    the state has no frame, OSError if the file cannot be written.
     """
     frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
     readings_lx = state.illuminance_lx

@@ -34,8 +34,10 @@ class Recorder:
     what could not be written (of rows the newest 100 000), and tries again at the next event or
     row. now: returns UTC. reserve, reserve_bytes: name and size of a file that is deleted when the
     disk is full, to gain its space; each process has its own. flush: with False, files survive a
-    killed process but not a power cut. listen: called with each event. full: whether the disk was
-    full and the reserve is deleted. rows: number written. last_event: for the display.
+    killed process but not a power cut. listen: called with the name, the time and the fields of
+    each event. journal, days: the open files. full: whether the disk was full and the reserve is
+    deleted. rows: number written. last_event: for the display. Creating a recorder raises the
+    errors of `Journal` and `DayFiles`.
     """
 
     def __init__(
@@ -60,7 +62,10 @@ class Recorder:
         self.restore_reserve()
 
     def write_event(self, event: str, **fields: Any) -> bool:
-        """Write an event with the current time to the journal; return whether it is on the disk."""
+        """Write an event with the current time to the journal; return whether it is on the disk.
+
+        event: its kind, such as done; fields: the other keys of its line.
+        """
         with self._lock:
             self.last_event = event
             t_utc = self._now()

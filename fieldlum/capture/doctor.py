@@ -33,9 +33,9 @@ _CALIBRATION_YEARS = 2.0  # recommended interval of pyranometer makers (Kipp & Z
 class Finding:
     """The result of one check of `doctor`.
 
-    what: subject of the check, such as "camera clock"; text: a sentence, with the remedy for a
-    fault; exit_code: of the command if the check failed: 4 for devices and this computer, 3 for
-    files.
+    what: subject of the check, such as "camera clock"; verdict: "ok", "warn" (look at it) or
+    "fail"; text: a sentence, with the remedy for a fault; exit_code: of the command if the check
+    failed: 4 for devices and this computer, 3 for files.
     """
 
     what: str
@@ -101,7 +101,8 @@ def run(
     """Run checks and return their findings; a check that raises an error gives a failure.
 
     camera_uri, pyranometer_uri, meter_uri: addresses such as gphoto: or serial:/dev/ttyUSB0; ""
-    means that the device is not used. only: names of the checks to run, None for all.
+    means that the device is not used. only: names of the checks to run, None for all, of: plan,
+    journal, profile, camera, pyranometer, meter, clock, disk, writing, sleep, sun.
     """
     checks: dict[str, Callable[[], Iterable[Finding]]] = {
         "plan": lambda: check_plan(session, now_utc),
@@ -151,6 +152,7 @@ def check_plan(session: Session, now_utc: datetime) -> Iterator[Finding]:
     """Yield findings on plan.csv: a failure if the file was changed since it was planned.
 
     Also yield how many slots are in the future, or a warning if no slot can still be captured.
+    Raises InputError if the plan or session.toml cannot be used.
     """
     slots, ahead = session.slots(), slots_ahead(session, now_utc)
     if session.table().get("plan", {}).get("sha256", "") != sha256(session.plan):
@@ -172,7 +174,10 @@ def check_plan(session: Session, now_utc: datetime) -> Iterator[Finding]:
 
 
 def check_journal(session: Session) -> Iterator[Finding]:
-    """Yield a warning that names the journal's damaged lines; nothing without any."""
+    """Yield a warning that names the journal's damaged lines; nothing without any.
+
+    Raises OSError if the journal cannot be read.
+    """
     if text := damage_text(damaged_lines(session)):
         remedy = "what they recorded is lost: restore the journal from a copy if there is one"
         yield warn("journal", f"{text}; {remedy}")
@@ -198,7 +203,8 @@ def check_profile(session: Session, today: date) -> Iterator[Finding]:
 def judge_age(profile: CameraProfile, today: date) -> Finding:
     """Return a finding on a profile's age.
 
-    A failure if it has expired, a warning if it was never calibrated or over two years ago.
+    A failure if it has expired, a warning if it was never calibrated or over two years ago. today:
+    the present date. Raises InputError for a date in the profile that is not in ISO form.
     """
     name = profile.camera.name
     expires, calibrated = iso_date(profile.expires), iso_date(profile.camera.date)
@@ -233,6 +239,7 @@ def check_sun(session: Session, now_utc: datetime) -> Iterator[Finding]:
     """Yield a warning if a future slot has a filter, or the sun in view of the lens.
 
     The warning states who puts on the planned filter, or how the disc is measured without one.
+    Raises InputError if the plan or session.toml cannot be used.
     """
     if text := profiles.sun_text(slots_ahead(session, now_utc)):
         yield warn("sun", text)
@@ -328,7 +335,8 @@ def _judge_clock(offset_s: float | None) -> Finding:
 def check_pyranometer(session: Session, uri: str) -> Iterator[Finding]:
     """Check that the pyranometer opens, gives a plausible reading, and is calibrated.
 
-    uri: of the pyranometer; "" gives a warning. Raises DeviceError if it does not open or answer.
+    uri: of the pyranometer; "" gives a warning. Raises DeviceError if it does not open or answer,
+    InputError for a profile of the instrument or a session.toml that cannot be used.
     """
     if not uri:
         text = "no pyranometer stated: add --pyranometer URI, or import a logger's file"
@@ -359,7 +367,9 @@ def judge_pyranometer(
 
     A reading [W/m2] that is impossible for the sun's altitude is a failure. A fault that the
     instrument reports, one that measures only global irradiance, lines without a checksum, and a
-    calibration over two years ago are warnings.
+    calibration over two years ago are warnings. The limits are the physically possible ones of BSRN
+    (`sun.bsrn_limits`); site: where the instrument is. Raises InputError for a date of calibration
+    that is no ISO date.
     """
     what, who = "pyranometer", f"{info.model or info.kind} {info.serial}".strip()
     parts = {"global": sample.ghi_wm2, "diffuse": sample.dhi_wm2, "direct": sample.dni_wm2}
@@ -415,7 +425,8 @@ def check_clock(synchronised: bool | None) -> Finding:
 def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
     """Return a finding on the disk: a failure without space for all future slots and 30 % more.
 
-    free_bytes: free space. If no slot was captured yet, their size is unknown, which is a warning.
+    free_bytes: free space. The size of a slot is `Session.slot_bytes`; if it is unknown, that is a
+    warning. The 30 % are chosen. Raises InputError if plan or session.toml cannot be used.
     """
     ahead, slot_bytes = len(slots_ahead(session, now_utc)), session.slot_bytes()
     needed = ahead * slot_bytes * 1.3

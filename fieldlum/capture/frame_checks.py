@@ -19,9 +19,10 @@ from fieldlum.optics.raw import is_jpeg, read_exif, read_jpeg, read_mosaic
 def compare_exif(path: Path, requested: Exposure) -> tuple[str, Exposure]:
     """Return how a new frame's EXIF differs from the requested exposure, and which one to record.
 
-    The text is "" without a difference; for a frame that cannot be read it is the reason. A setting
-    that EXIF does not state is not compared; others may differ by 1/6 EV. EXIF's exposure is to be
-    recorded if it is complete and differs from the request, else the request.
+    path: of the frame. The text is "" without a difference; for a frame that cannot be read it is
+    the reason. A setting that EXIF does not state is not compared; others may differ by 1/6 EV.
+    EXIF's exposure is to be recorded if it is complete and differs from the request, else the
+    request.
     """
     try:
         taken = read_exif(path, lens_f_number=requested.f_number).exposure
@@ -45,7 +46,8 @@ def clipped_share(path: Path) -> float:
     """Return the share of a frame's clipped pixels, 0 to 1.
 
     A JPEG pixel is clipped if a colour has code 254 or 255. Raw pixels are clipped at the frame's
-    highest count, if this is at least 0.8 of the white level: some sensors saturate below it.
+    highest count, or at the white level if that is lower, because some sensors saturate below the
+    white level; none is clipped if the highest count is below 0.8 of it. Both limits are chosen.
     Raises InputError if the frame cannot be read.
     """
     if is_jpeg(path):

@@ -148,14 +148,20 @@ def _parts_of_one_clock(
 
 
 def planned_frames(group: Group, slot: Slot, setup: CameraSetup) -> list[FrameRequest | None]:
-    """Return the planned frame for each frame of a card's bracket; None for one not in the plan."""
+    """Return the planned frame for each frame of a card's bracket; None for one not in the plan.
+
+    slot: to which the bracket belongs; setup: with the headings of each bracket.
+    """
     requests = frame_requests(slot.exposures, setup)
     indices = match_card.planned_indices(group, [request.exposure for request in requests])
     return [None if index is None else requests[index] for index in indices]
 
 
 def missing_frames(match: Match, setup: CameraSetup) -> list[FrameRequest]:
-    """Return the planned frames, of all headings, that a card's bracket does not contain."""
+    """Return the planned frames, of all headings, that a card's bracket does not contain.
+
+    match: the bracket and its slot; setup: with the headings of each bracket.
+    """
     present = planned_frames(match.group, match.slot, setup)
     return [frame for frame in frame_requests(match.slot.exposures, setup) if frame not in present]
 
@@ -321,8 +327,9 @@ def read_card(
 ) -> tuple[list[CardFrame], list[str]]:
     """Return the frames with their EXIF, and a sentence on each file that cannot be used.
 
-    lens_f_number: f-number of a lens that writes none to EXIF, 0 for others. own_clock: whether
-    times are those that the camera's clock showed, not corrected by EXIF's offset.
+    files: raw and JPEG files, as `card_files` returns them; lens_f_number: f-number of a lens that
+    writes none to EXIF, 0 for others. own_clock: whether times are those that the camera's clock
+    showed, not corrected by EXIF's offset.
     """
     frames: list[CardFrame] = []
     left_out: list[str] = []

@@ -34,8 +34,8 @@ def import_rows(
     of this name read with another clock or other columns are removed. utc_offset_s: the logger's
     clock minus UTC [s], if the file does not state it. columns: name of the column for each
     quantity, if it is unusual. sensitivities: of pyranometers whose column is a voltage, uV per
-    W/m2. Raises InputError for a file that cannot be read or follows summer time, or if another
-    process logs into the session.
+    W/m2. session.toml records how the file was read. Raises InputError for a file that cannot be
+    read or follows summer time, or if another process logs into the session.
     """
     settings = {"utc_offset_s": utc_offset_s, "columns": columns, "sensitivities": sensitivities}
     stated = {name: value for name, value in settings.items() if value is not None}
@@ -93,6 +93,7 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
     """Append the readings whose time is in no day file yet; return their number.
 
     Of equal readings in sequence, one is appended; different readings of the same time all are.
+    Raises OSError if a day file cannot be read or written, InputError as `DayFiles` does.
     """
     ordered = sorted(samples, key=lambda s: s.t_utc)
     stored_utc: set[datetime] = set()
@@ -113,7 +114,8 @@ def remove_rows(session: Session, samples: Iterable[IrradianceSample]) -> int:
 
     Return the number of removed rows; samples without such a row are ignored. A changed day file's
     earlier version remains in irradiance/withdrawn/. If a row was removed, clean.csv, which was
-    computed from it, is deleted too; `pair` writes it again.
+    computed from it, is deleted too; `pair` writes it again. Raises OSError if a file cannot be
+    read or written.
     """
     removed = {_key(sample) for sample in samples}
     count = 0

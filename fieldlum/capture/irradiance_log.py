@@ -23,7 +23,8 @@ class Logger:
     """Reads a pyranometer every `every_s` seconds and writes each reading as a row.
 
     It has its own thread (`start`), or the capture's loop calls `poll_if_due`. keeper: holds the
-    pyranometer; recorder: writes the rows; last: newest valid reading, or None.
+    pyranometer; recorder: writes the rows; clock: gives their times; last: newest valid reading, or
+    None. A reading that fails is journalled, and raises no error.
     """
 
     def __init__(
@@ -131,8 +132,9 @@ def log(
     """Log irradiance without a camera until `rows` rows are written; return their number.
 
     uri: of the pyranometer; rows: None to log until the process is stopped; every_s: time between
-    readings [s]; say: called with notes for the user. Raises the error of opening the instrument at
-    the start, InputError if another process logs into this session.
+    readings [s]; say: called with notes for the user. Faults of the instrument after the start are
+    journalled, and it is opened again. Raises the error of opening it at the start, InputError if
+    another process logs into this session.
     """
     steady = SteadyClock(clock)
     opener = partial(open_pyranometer, uri, clock=clock, session=session)

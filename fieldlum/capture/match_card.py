@@ -28,9 +28,10 @@ _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (
 class CardFrame:
     """A frame as EXIF describes it.
 
-    t_camera: time that the camera's clock showed, read as if it were UTC; if EXIF states the
-    clock's offset and the user does not, it is UTC. exif_offset_s: the clock minus UTC [s] by EXIF,
-    None if absent. camera: model; serial: of the body, "" if EXIF has none.
+    path: of its file on the card; t_camera: time that the camera's clock showed, read as if it were
+    UTC; if EXIF states the clock's offset and the user does not, it is UTC. exif_offset_s: the
+    clock minus UTC [s] by EXIF, None if absent. camera: model; serial: of the body, "" if EXIF has
+    none.
     """
 
     path: Path
@@ -43,7 +44,7 @@ class CardFrame:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The frames of one bracket on a camera's card, in order of time."""
+    """The frames of one bracket on a camera's card, in order of time; at least one."""
 
     frames: tuple[CardFrame, ...]
 
@@ -57,8 +58,8 @@ class Group:
 class Offset:
     """The camera's clock minus UTC [s], and how it was determined.
 
-    seconds: `CardFrame.t_camera` minus UTC. exif_s: offsets in EXIF [s], which are already
-    subtracted from t_camera.
+    seconds: `CardFrame.t_camera` minus UTC. how: a clause for the user, such as "fitted to the
+    plan". exif_s: offsets in EXIF [s], which are already subtracted from t_camera.
     """
 
     seconds: float
@@ -110,8 +111,8 @@ def group_frames(
     """Group a card's frames into brackets, in order of time.
 
     A new bracket begins after a pause, or with an exposure that the bracket already contains. The
-    pause is over ten times this card's usual time between frames (60 times with several headings),
-    because a bracket can take from three seconds to two minutes.
+    pause is over ten times this card's usual time between frames (60 times with several headings;
+    both chosen), because a bracket can take from three seconds to two minutes.
 
     pattern: the plan's exposures. An exposure that is twice in the plan (once through a filter,
     which EXIF does not record) is expected twice. headings: number of headings of a turned head;
@@ -240,7 +241,10 @@ def match_groups(
         return len({*planned_indices(group, slot.exposures)} - {None})
 
     def misfit(match: Match) -> tuple[int, float]:
-        """Return a key that is smallest for the best of several brackets at one slot."""
+        """Return a key that is smallest for the best of several brackets at one slot.
+
+        match: of one of them with this slot.
+        """
         return -count_planned(match.group, match.slot), abs(match.late_s)
 
     matches: dict[str, Match] = {}
@@ -329,7 +333,8 @@ def _exif_offsets_s(groups: Sequence[Group]) -> tuple[float, ...]:
 def exif_note(groups: Sequence[Group], stated_s: float | None) -> str:
     """Return a note if EXIF's offset differs by over a minute from that which the user states.
 
-    stated_s: the user's offset [s], None if none. The text is "" without such a difference.
+    groups: whose frames have EXIF; stated_s: the user's offset [s], None if none. The text is ""
+    without such a difference.
     """
     offsets_s = _exif_offsets_s(groups)
     if stated_s is None or all(abs(offset_s - stated_s) <= 60.0 for offset_s in offsets_s):
@@ -377,7 +382,8 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot], zone: str) -> li
     that are an hour off match the neighbouring slots, except at the ends of a day. Return the
     fewest parts that the brackets support: each change must bring at least three more brackets near
     slots, or one if civil time in `zone` (IANA name) changed as much within 36 h and if no change
-    elsewhere brings as many. groups: in order of time, at least one.
+    elsewhere brings as many. Near means within 20 minutes. groups: in order of time, at least one;
+    slots: of the plan, at least one.
     """
     days = split_at_gaps(groups, _NIGHT_S)
     # All offsets have the minutes of the offset that fits all brackets best, and any full hours.
@@ -444,8 +450,9 @@ def offset_contradiction(
 ) -> str:
     """Return why the plan contradicts an offset of the camera's clock; "" if it does not.
 
-    Two errors are detected: an offset that is wrong by full hours, up to 26 (time zone or date),
-    and a clock that was set between brackets. groups: in order of time; zone: IANA name.
+    offset: with which the brackets `groups` are imported; slots: of the plan. Two errors are
+    detected: an offset that is wrong by full hours, up to 26 (time zone or date), and a clock that
+    was set between brackets. groups: in order of time; zone: IANA name.
     """
     near = {hour: _near_slots(groups, slots, offset.seconds + 3600.0 * hour) for hour in _HOURS}
     best_hour = max(near, key=near.__getitem__)

@@ -196,7 +196,8 @@ def read_address(option: str) -> str:
 def fetch(address: str) -> None:
     """Request an http address and ignore the answer's content.
 
-    Raises OSError without an answer within 20 s, or for an HTTP error.
+    Raises OSError without an answer within 20 s, or for an HTTP error, ValueError for a text that
+    is no address.
     """
     with urllib.request.urlopen(address, timeout=20.0) as answer:
         answer.read(1024)
@@ -368,7 +369,8 @@ def open_alerts(
 
     post: sends one message; None without targets. heartbeat_address: "" without a monitor. say:
     called with notes for the user's terminal. with_picture: attach the latest contact sheet to the
-    daily summary; the sheet may show people.
+    daily summary; the sheet may show people. At the end, messages are sent for at most 10 s. Raises
+    InputError if session.toml cannot be used.
     """
     site = session.site_file().site
     outbox = Outbox(post, say) if post is not None else None

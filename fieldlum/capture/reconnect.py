@@ -37,9 +37,9 @@ def pause_s(failures: int, first_s: float = FIRST_PAUSE_S, longest_s: float = MA
 class Keeper(Generic[D]):
     """Holds one device, opens it when it is first needed, and again after a failure.
 
-    name: of the device, for the journal; open_device: opens it; tell: journals an event
-    (device-lost, device-back) with its fields; watchdog_s: time after which a call of the device
-    counts as hung [s].
+    name: of the device, for the journal; open_device: opens it; clock: for the pauses between two
+    tries; tell: called with the name of an event for the journal (device-lost, device-back) and its
+    fields as keywords; watchdog_s: time after which a call of the device counts as hung [s].
     """
 
     def __init__(
@@ -65,7 +65,10 @@ class Keeper(Generic[D]):
         return "closed" if self._device is None else "ok"
 
     def get(self) -> D | None:
-        """Return the device, opened if a try is due; None while it is away."""
+        """Return the device, opened if a try is due; None while it is away.
+
+        An error of opening it is not raised, but journalled as the loss of the device.
+        """
         if self._device is None and self._clock.boottime() >= self._next_try_s:
             try:
                 self.open_or_raise()
@@ -131,8 +134,8 @@ def plain_info(info: CameraInfo | InstrumentInfo) -> DeviceTable:
 def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
     """Run `work()` in its own thread and return its result, or raise its error.
 
-    what: names the work in the error. Raises DeviceError if it does not return within `seconds`;
-    its thread then continues, and its result is ignored.
+    seconds: longest time of the work [s]; what: names the work in the error. Raises DeviceError if
+    it does not return within `seconds`; its thread then continues, and its result is ignored.
     """
     answer = Future[R]()
 

@@ -38,10 +38,13 @@ from fieldlum.version import __version__
 class Live:
     """State of a running capture, for the display and for alerts.
 
-    state: waiting, capturing or finished. planned, done, missed, aborted, left: numbers of slots,
-    of which `left` are still to capture. next_slot: id, "" without one. camera, pyranometer: ok,
-    closed or lost, "" without a pyranometer. disk_days: days of captures that fit on the disk.
-    None: unknown.
+    state: waiting, capturing or finished. t_utc: time of this state. planned, done, missed,
+    aborted, left: numbers of slots, of which `left` are still to capture. next_slot: id, "" without
+    one; next_in_s: time until its start [s], negative after it. last_frame: file of the newest
+    frame, and the doubt about it. ghi_wm2, ghi_age_s: newest global irradiance [W/m2], and its age
+    [s]. camera, pyranometer: ok, closed or lost, "" without a pyranometer. bytes_free: on the
+    session's disk. disk_days: days of captures that fit on the disk. last_event: newest event of
+    the journal, or a fault of the disk. None: unknown.
     """
 
     state: str
@@ -96,7 +99,8 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     """Return the clock and the options of a capture.
 
     fast: whether time is simulated. The clock then jumps from slot to slot; it starts where the
-    journal ends, or, without an event, a minute before the first slot.
+    journal ends, or, without an event, a minute before the first slot. Raises InputError for a plan
+    or session.toml that cannot be used.
     """
     grace_s = session.grace.total_seconds()
     if not fast:
@@ -427,7 +431,7 @@ class _Runner:
             self.watch(self.live())
 
     def live(self) -> Live:
-        """Return the state of the capture."""
+        """Return the state of the capture. Raises OSError if the disk is away."""
         now, upcoming = self.clock.now(), self._next
         outcomes = Counter(state.outcome for state in self.states.slots.values())
         counts = {name: outcomes[name] for name in SETTLED}

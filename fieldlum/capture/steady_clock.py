@@ -46,8 +46,8 @@ class SteadyClock(Clock):
     to 2 s is drift and is followed. A larger one, a step, is followed only if a time server
     controls that clock. Otherwise the steady time continues, so that slots keep their sun position,
     and does not follow drift until the step is undone. `check` returns steps and sleeps as journal
-    events. trusted: returns whether a time server controls the clock, None if unknown; boot:
-    identifies the computer's boot.
+    events. clock: of the computer; trusted: returns whether a time server controls it, None if
+    unknown; boot: identifies the computer's boot, result of `boot_id`.
     """
 
     def __init__(
@@ -81,8 +81,8 @@ class SteadyClock(Clock):
     def continue_from(self, then: datetime, mark: Mapping[str, Any]) -> None:
         """Continue the steady time of an earlier process, if the computer did not boot since.
 
-        then: the earlier process's UTC when it stored `mark`. `check` then detects a step between
-        the two processes.
+        then: the earlier process's UTC when it stored `mark`; mark: result of its `mark`. `check`
+        then detects a step between the two processes.
         """
         if self._boot_id and mark.get("boot_id") == self._boot_id:
             self._anchor_utc, self._anchor_s = then, float(mark.get("boottime_s", 0.0))
@@ -90,7 +90,8 @@ class SteadyClock(Clock):
     def check(self) -> list[tuple[str, EventFields]]:
         """Return the journal events since the last call: `suspend`, `clock-step`.
 
-        Each event is its name and its fields. Sleep or steps of at most 2 s are no event.
+        Each event is its name and its fields: `seconds`, the length of the sleep or of the step
+        [s], and for a step `followed`. Sleep or steps of at most 2 s are no event.
         """
         events: list[tuple[str, EventFields]] = []
         slept_s = self._clock.boottime() - self._clock.monotonic()
@@ -124,8 +125,9 @@ def wait_for_clock(
     """Wait while the computer's clock is over two minutes earlier than the session's last change.
 
     A small computer without a clock battery starts with a past time, until a time server answers. A
-    bracket taken before that would get a wrong sun position. trusted: returns whether a time server
-    has set the clock, which ends the waiting; say: called with notes for the user.
+    bracket taken before that would get a wrong sun position. The session's last change is that of
+    session.toml. trusted: returns whether a time server has set the clock, which ends the waiting;
+    say: called with notes for the user.
     """
     latest_utc = datetime.fromtimestamp(session.toml.stat().st_mtime, UTC)
     if clock.now() >= latest_utc - _CLOCK_TOLERANCE or trusted():

@@ -119,7 +119,10 @@ def _warnings_as_notes() -> Iterator[None]:
         show, shown = warnings.showwarning, set[str]()
 
         def note(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-            """Print one warning; the arguments are those of `warnings.showwarning`."""
+            """Print one warning; the arguments are those of `warnings.showwarning`.
+
+            place, more: file, line and so on, which a warning of fieldlum does not show.
+            """
             if issubclass(category, errors.Caution):
                 if str(message) not in shown:
                     shown.add(str(message))

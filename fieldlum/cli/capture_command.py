@@ -95,7 +95,10 @@ def command(
     ):
 
         def watch(live: Live) -> None:
-            """Show a new state of the capture here, and send faults to the addresses."""
+            """Show a new state of the capture here, and send faults to the addresses.
+
+            live: the state. Sending returns at once.
+            """
             remote.check(live)
             display(live)
 
@@ -137,7 +140,10 @@ def _show_end(root: Path, slots: list[SlotState]) -> None:
 
 
 def panel(live: Live, site: Site) -> RenderableType:
-    """Return the state of a capture as a panel that rich can print, in local time of `site`."""
+    """Return the state of a capture as a panel that rich can print.
+
+    site: whose name is the title, and in whose local time times are.
+    """
     from rich.panel import Panel
     from rich.text import Text
 
@@ -176,7 +182,10 @@ def _counts(live: Live) -> str:
 
 @contextmanager
 def simulated() -> Iterator[Watch]:
-    """Yield a function that shows how many slots of a simulated capture are over."""
+    """Yield a function that shows in the `with` block how many slots of a capture are over.
+
+    It is for simulated time. On a terminal it shows a bar, see `terminal.progress`.
+    """
     with terminal.progress("capture") as show:
         yield lambda live: show(live.planned - live.left, live.planned, _counts(live))
 
@@ -192,7 +201,7 @@ def shown(site: Site) -> Iterator[Watch]:
         slots_over = -1
 
         def show(live: Live) -> None:
-            """Print the counts after every twentieth of the planned slots."""
+            """Print the counts after every twentieth of the planned slots; live: state of now."""
             nonlocal slots_over
             before, slots_over = slots_over, live.planned - live.left
             if slots_over != before and slots_over % max(1, live.planned // 20) == 0:

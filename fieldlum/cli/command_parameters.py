@@ -54,7 +54,7 @@ class Named(click.Choice[str]):
     """One of some names; the error for another text has the most similar name."""
 
     def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
-        """Return the text of the error."""
+        """Return the text of the error; the arguments are those of click."""
         near = did_you_mean(str(value), map(str, self.choices))
         return super().get_invalid_choice_message(value, ctx).rstrip(".") + near
 
@@ -67,7 +67,7 @@ def numbers(count: int, mark: str) -> Callable[[str], tuple[float, ...]]:
     """
 
     def read(text: str) -> tuple[float, ...]:
-        """Return the numbers in a text."""
+        """Return the numbers in a text; raise ValueError for any other text."""
         with suppress(ValueError):
             values = tuple(float(part) for part in text.lower().split(mark))
             if len(values) == count and all(map(math.isfinite, values)):
@@ -96,8 +96,9 @@ def declare(
     """Return a click command that calls a function; the function's parameters are its options.
 
     name: of the command. The function's docstring is the help; below its line "Options:" is an
-    entry for each option. shared: options by the name of their parameter, for parameters that have
-    neither an entry nor a text in their type.
+    entry for each option, in the grammar that this module's docstring describes. shared: options by
+    the name of their parameter, for parameters that have neither an entry nor a text in their type;
+    a parameter without any of the three is an argument.
     """
     text, _, options = inspect.cleandoc(function.__doc__ or "").partition("\n\nOptions:\n")
     lines = re.sub(r"\n {4,}", " ", options).splitlines()

@@ -101,7 +101,9 @@ def command(
 def csv_rows(answer: JsonTable) -> list[dict[str, object]]:
     """Return one row of --csv, by column, for each view direction of a `glare` answer.
 
-    Columns of the picture are repeated in each row; evalglare's figures begin with reference_.
+    answer: result of `picture_glare`, whose keys are the columns. Columns of the picture are
+    repeated in each row; those of evalglare's figures begin with reference_. Lists and tables are
+    left out, except the warnings, which become one text.
     """
     of_picture = {**answer, "warnings": "; ".join(answer["warnings"])}
     rows = []

@@ -58,7 +58,8 @@ def describe(path: Path, part: str = "") -> Facts:
 
     The names depend on the kind of file (docs/cli.md). path: a file, a folder, or the name of a
     shipped camera profile. part: name of the part, layer or stereo view of an .exr; "" for the only
-    one. Raises InputError if the file is missing, invalid or of an unknown kind.
+    one. Warn if the file changed after fieldlum wrote it. Raises InputError if it is missing,
+    invalid or of an unknown kind, OSError if a csv cannot be read.
     """
     from fieldlum.optics.profiles import camera_names, find_camera_profile
     from fieldlum.session.codec import warn_if_changed

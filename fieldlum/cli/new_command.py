@@ -76,7 +76,7 @@ class Dialogue:
     """
 
     def __init__(self, site_file: Path) -> None:
-        """Read earlier answers for the same SITE.toml, if there are any."""
+        """Read earlier answers for the same SITE.toml, in the file NAME.answers next to it."""
         self.site_file, self.path = site_file, site_file.with_name(f"{site_file.name}.answers")
         self.answers: dict[str, str] = {}
         with suppress(OSError, ValueError, TypeError):
@@ -86,8 +86,10 @@ class Dialogue:
     def ask(self, question: str, reader: Callable[[str], T], default: str | None = None) -> T:
         """Ask a question until `reader` accepts the answer; return what `reader` returns.
 
-        default: answer of an empty line; None if there is none. Raises InputError if the input ends
-        before the answer.
+        The answer is stored, and offered next time. question: also the name under which it is
+        stored; reader: returns the value of a text, and raises ValueError, InputError or a click
+        error for a wrong answer; default: answer of an empty line; None if there is none. Raises
+        InputError if the input ends before the answer, KeyboardInterrupt for Ctrl-C.
         """
 
         def checked(text: str) -> T:
@@ -130,6 +132,7 @@ def _number(low: float, high: float) -> Callable[[str], float]:
     """Return a reader of a number from `low` to `high`, also with a decimal comma."""
 
     def reader(text: str) -> float:
+        """Return the number in a text; raise ValueError or a click error for another text."""
         value = click.FLOAT(text.replace(",", "."))
         if not low <= value <= high:
             raise ValueError(f"{value:g}: expected {low:g} to {high:g}")
@@ -145,6 +148,7 @@ def _angle(limit_deg: float, letters: str) -> Callable[[str], float]:
     """
 
     def reader(text: str) -> float:
+        """Return the angle in a text [deg]; errors are those of `_number`."""
         sign = -1.0 if text[-1:].upper() == letters[1] else 1.0
         return sign * _number(-limit_deg, limit_deg)(text.rstrip(f" °{letters}{letters.lower()}"))
 
@@ -174,7 +178,7 @@ def _site(dialogue: Dialogue) -> Site:
     zones = available_timezones()
 
     def zone(text: str) -> str:
-        """Return the name of a time zone that exists."""
+        """Return the name of a time zone that exists; raise ValueError for another text."""
         if text not in zones:
             raise ValueError(f"unknown time zone '{text}'{did_you_mean(text, zones)}")
         return text
@@ -213,7 +217,8 @@ def _camera(dialogue: Dialogue) -> CameraSetup:
     def profile(text: str) -> str:
         """Return name or path of the profile that an answer means; "" for none.
 
-        The answer may be a number of the list, a path, or words of one name.
+        The answer may be a number of the list, a path, or words of one name. Raises ValueError for
+        another answer, InputError for a profile that cannot be used.
         """
         if text.lower() in ("none", "none yet"):
             return ""
@@ -292,8 +297,8 @@ def _write_own_camera(path: Path, start: str, photo: Path | None) -> None:
 def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
     """Return an uncalibrated profile with the values of `profile`; start: name of the latter.
 
-    It has no date of calibration, and its uncertainties are at least those of a guess, because
-    values of another camera are not measured.
+    It has no date of calibration. Its uncertainties of colour and scale are at least those of a
+    guess, and that of vignetting is the guess, because values of another camera are not measured.
     """
     from fieldlum.optics.profiles import Provenance
 
@@ -342,7 +347,7 @@ def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
     x_scale, y_scale = width / before.width_px, height / before.height_px
 
     def scaled(lens: Lens) -> Lens:
-        """Return the lens for the frame's size and aperture."""
+        """Return a lens of the profile, changed to the frame's size and aperture."""
         x_px, y_px = lens.centre_px
         centre_px, radius_px = (x_px * x_scale, y_px * y_scale), lens.radius_px * y_scale
         curves = tuple(replace(curve, f_number=f_number) for curve in lens.vignetting)

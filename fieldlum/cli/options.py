@@ -28,7 +28,10 @@ Year = Annotated[int | None, click.IntRange(1950, 2100)]
 
 
 def calendar_day(text: str) -> datetime:
-    """Return the midnight that begins a date, without a time zone."""
+    """Return the midnight that begins a date such as 2027-03-20, without a time zone.
+
+    Raises click.BadParameter for a text that is no such date.
+    """
     with suppress(ValueError):
         return datetime.combine(date.fromisoformat(text), time())
     raise click.BadParameter(f"{text}: expected a date that exists, like 2027-03-20")
@@ -103,7 +106,7 @@ def command_of(
     """
 
     def decorate(function: Callable[..., Any]) -> click.Command:
-        """Return the command that replaces the function."""
+        """Return the command that replaces the function; function: with its help as docstring."""
         created = declare(function, name, SHARED)
         if group is not None:
             group.add_command(created)
@@ -117,7 +120,8 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
 
     given: the values of the three options; None takes the URI of the session's last capture. A
     given URI that names a program, a file or another computer is permitted from now on. Raises
-    InputError for a URI in the session that was never permitted on this computer.
+    InputError for a URI in the session that needs a permission and has none on this computer, and
+    for a session.toml that cannot be read.
     """
     from fieldlum.cli.terminal import say
     from fieldlum.core.errors import DeviceError

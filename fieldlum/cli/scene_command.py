@@ -62,9 +62,10 @@ def answer_of(scene: Scene) -> JsonTable:
     """Return the object that `scene fit --json` prints.
 
     Keys of `Scene`: north_deg, clock_min, u, chosen, verdict, trusted, hours, notes. Other keys:
-    misfit_before, misfit_after, misfit_none: of the stated room, the fitted room and no patch;
-    camera_m: x, y, z; window: wall, left_m, width_m, sill_m, height_m. expected_log10_mse,
-    trusted_share: None; `train --json` has them.
+    misfit_before, misfit_after, misfit_none: share (0 to 1) of pixels that are wrong with the
+    stated room, the fitted room and no patch; camera_m: x, y, z; window: for each window wall,
+    left_m, width_m, sill_m, height_m. expected_log10_mse, trusted_share: None; `train --json` has
+    them.
     """
     room = scene.room
     of_scene = ("north_deg", "clock_min", "u", "chosen", "verdict", "trusted", "hours")

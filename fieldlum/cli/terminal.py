@@ -23,7 +23,10 @@ def _plain(value: Any) -> Any:
 
 
 def emit_json(answer: Any) -> None:
-    """Print exactly one JSON object on one line of stdout, with null for NaN and infinity."""
+    """Print exactly one JSON object on one line of stdout, with null for NaN and infinity.
+
+    answer: plain values and arrays, which become lists; other values become text.
+    """
     finite = json.loads(json.dumps(answer, default=_plain), parse_constant=lambda _: None)
     text = json.dumps(finite, ensure_ascii=False)
     click.echo("".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text))
@@ -115,8 +118,8 @@ def is_terminal() -> bool:
 def unattended() -> Iterator[None]:
     """Let a command that runs for weeks survive a closed terminal, in a `with` block.
 
-    The command and the processes that it starts ignore SIGHUP. SIGTERM ends the
-    command like Ctrl-C.
+    The command and the processes that it starts ignore SIGHUP. SIGTERM ends the command like
+    Ctrl-C. Call it in the main thread.
     """
     wanted: dict[signal.Signals, Any] = {signal.SIGTERM: signal.default_int_handler}
     if hasattr(signal, "SIGHUP"):  # not on Windows
@@ -152,7 +155,10 @@ def _progress_lines(label: str) -> Progress:
     first: tuple[int, float] | None = None
 
     def show(finished: int, total: int, text: str) -> None:
-        """Print a line when it is due, with the remaining time unless work began again."""
+        """Print a line when it is due, with the remaining time unless work began again.
+
+        The arguments are those of `Progress`.
+        """
         nonlocal due_s, before, repeats, first
         spent_s, share = time.monotonic() - started, finished / max(total, 1)
         repeats, before = repeats or share < before, share
@@ -194,7 +200,7 @@ def progress(label: str) -> Iterator[Progress]:
         task = bar.add_task(label, total=None, text="")
 
         def show(finished: int, total: int, text: str) -> None:
-            """Move the bar; a total of 0 is unknown."""
+            """Move the bar; the arguments are those of `Progress`, and a total of 0 is unknown."""
             bar.update(task, completed=finished, total=total or None, text=printable(text))
 
         with shown_by(show):

@@ -48,8 +48,8 @@ Serve = Callable[[Connection], None]
 def setting_value(text: str) -> float | None:
     """Return the number in a camera's text of a setting: shutter time [s], f-number or ISO.
 
-    A text is a decimal or a fraction, after f/ or ISO or before s, such as 1/250, 0.0040s, f/5.6
-    and ISO 100. None for Bulb, Auto and other words.
+    A text is a decimal or a fraction, if necessary after f/ or ISO or before s, such as 1/250,
+    0.0040s, f/5.6 and ISO 100. None for Bulb, Auto and other words.
     """
     match = _NUMBER.fullmatch(text.strip())
     if match is None or (match[2] is not None and not float(match[2])):
