@@ -81,8 +81,8 @@ class SteadyClock(Clock):
     def continue_from(self, then: datetime, mark: Mapping[str, Any]) -> None:
         """Continue the steady time of an earlier process, if the computer did not boot since.
 
-        then: the earlier process's UTC when it stored `mark`; mark: result of its `mark`. `check`
-        then detects a step between the two processes.
+        then: the earlier process's UTC when it stored `mark`; mark: result of `mark` in that
+        process. `check` then detects a step between the two processes.
         """
         if self._boot_id and mark.get("boot_id") == self._boot_id:
             self._anchor_utc, self._anchor_s = then, float(mark.get("boottime_s", 0.0))

@@ -146,8 +146,8 @@ def lens(
 ) -> FittedPart:
     """Fit centre, circle, mapping and pose of a lens.
 
-    TARGETS.csv has the columns x_px, y_px, azimuth_deg, altitude_deg; angles are relative to
-    the camera's heading and the horizon.
+    TARGETS.csv has the columns x_px, y_px, azimuth_deg, altitude_deg; azimuths are clockwise
+    from the camera's heading, altitudes upwards from the horizon.
 
     \b
     Example:
@@ -319,9 +319,9 @@ def scale(
 ) -> FittedPart:
     """Fit the absolute factor k from spot and illuminance readings.
 
-    READINGS.csv has the columns panorama, azimuth_deg, altitude_deg, and luminance_cdm2 or
-    illuminance_lx. The panoramas must be merged with the profile of --camera; its k may have
-    changed since.
+    READINGS.csv has the columns panorama, azimuth_deg (clockwise from true north), altitude_deg,
+    and luminance_cdm2 or illuminance_lx. The panoramas must be merged with the profile of --camera;
+    its k may have changed since.
 
     \b
     Example:
@@ -436,11 +436,11 @@ def linearity(profile: Any, sources: Annotated[Paths, "FRAMES...", EXISTING_PATH
 def stray(profile: Any, sources: Annotated[Path, "READINGS.csv", EXISTING_PATH]) -> FittedPart:
     """Fit the lens's stray light from black traps in bright fields.
 
-    READINGS.csv has panorama, azimuth_deg and altitude_deg of places that emit no light: the
-    hole of a deep dark box, or dark places around a lamp in a dark room. Add luminance_cdm2 for
-    a place that is not black. Eight or more places at different angles from the light are
-    needed, in pictures of one heading. `merge` then subtracts the stray light, and adds what
-    the kernel does not explain to u.
+    READINGS.csv has panorama, azimuth_deg (clockwise from true north) and altitude_deg of places
+    that emit no light: the hole of a deep dark box, or dark places around a lamp in a dark room.
+    Add luminance_cdm2 for a place that is not black. Eight or more places at different angles from
+    the light are needed, in pictures of one heading. `merge` then subtracts the stray light, and
+    adds what the kernel does not explain to u.
 
     \b
     Example:

@@ -46,7 +46,7 @@ def command(
       --size WxH: Size of the result. [default: that of the session's panoramas, else 460x230;
           fisheye 1000x1000]
       --projection: Panorama, or equidistant fisheye along the first lens (with --frames).
-      --heading DEG: Azimuth that the camera faces (with --frames).
+      --heading DEG: Azimuth that the camera faces, clockwise from true north (with --frames).
       --fit/--no-fit: Estimate exposure ratios from the frames. [default: for raw frames
           only]
     """

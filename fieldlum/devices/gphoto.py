@@ -252,8 +252,9 @@ class _Driver:
     def open(self, model: str) -> dict[str, Any]:
         """Open the first camera whose name contains `model`, and return what it reports.
 
-        The keys are fields of `CameraInfo`, and settings, as `_settings` returns them. Raises
-        ValueError if no connected camera has such a name.
+        The keys are fields of `CameraInfo`, and settings: by setting (shutter, aperture, iso) the
+        name of the camera's widget and its choices. Raises ValueError if no connected camera has
+        such a name.
         """
         gp, self._camera = self.gp, self.gp.Camera()
         if model:

@@ -72,9 +72,9 @@ class RegisterBlock:
 class Entry:
     """One value of a register profile, such as irradiance_wm2 or the serial number.
 
-    register : number of its first register; type : an unsigned or signed integer (u, s) or a float
-    (f) of 16 or 32 bits, a date (32 bits, such as 20260115) or a text (ASCII); scale : factor from
-    the number to the unit of the name; power10_register : register of a power of ten by which the
+    register : number of its first register; type : an unsigned (u) or signed (s) integer of 16 or
+    32 bits, f32 a float, date a u32 such as 20260115, or text in ASCII; scale : factor from the
+    number to the unit of the name; power10_register : register of a power of ten by which the
     number is divided (Kipp & Zonen); words : number of registers of a text; allow : values of a
     status word that mean no fault; empty if it is not checked.
     """

@@ -242,8 +242,8 @@ class Session:
     def site_file(self) -> SiteFile:
         """Return site, camera, room and pyranometer, as recorded when the session was planned.
 
-        Its files are searched from the session's folder upwards (`with_paths_from`). Raises
-        InputError if the table [setup] of session.toml is wrong.
+        The files that it names are searched from the session's folder upwards (`with_paths_from`).
+        Raises InputError if the table [setup] of session.toml is wrong.
         """
         setup = site_from_table(self.table().get("setup", {}), str(self.toml))
         return with_paths_from(setup, self.root)

@@ -52,9 +52,10 @@ def subject(kind: str, name: str, *parts: str) -> Subject:
 
 
 def config_folder() -> Path:
-    """Return the user's folder of settings: XDG_CONFIG_HOME or ~/.config, on Windows APPDATA.
+    """Return the folder fieldlum/ in the user's folder of settings; it may not exist yet.
 
-    Raises OSError for a user without a home folder.
+    That is XDG_CONFIG_HOME, else ~/.config, on Windows APPDATA. Raises OSError for a user without a
+    home folder.
     """
     stated = Path(os.environ.get("APPDATA" if sys.platform == "win32" else "XDG_CONFIG_HOME", ""))
     try:

@@ -110,7 +110,8 @@ _DAYLIGHT_FACTOR = 0.05  # of a room with large windows: 5 % or more (CIBSE LG10
 class Office:
     """A simulated office under a sky with random clouds; no sun shines into it.
 
-    setup : its room if that is a box with windows, else `OFFICE`; its site; None: in Seattle.
+    setup : whose room is simulated at its site if it is a box with windows, else `OFFICE` is; None:
+    `OFFICE` in Seattle.
     """
 
     def __init__(self, setup: SiteFile | None = None, seed: int = 1) -> None:

@@ -62,9 +62,9 @@ class FrameQuality(Struct, frozen=True):
 class NeighbourQuality(Struct, frozen=True):
     """Disagreement [%] of two neighbouring frames in exposure, after all corrections.
 
-    long, short: the more and the less exposed frame, numbered within their heading;
-    residual_percent, u_percent: their disagreement and its standard uncertainty; pixels: number of
-    pixels compared.
+    long, short: the more and the less exposed frame, numbered from 0 within their heading;
+    residual_percent: their disagreement, positive if the less exposed frame is brighter than
+    expected; u_percent: its standard uncertainty; pixels: number of pixels compared.
     """
 
     long: int
