@@ -39,11 +39,11 @@ _CHART_XYZ = Path(__file__).with_name("chart_daylight.csv")  # written by bench/
 class Colours:
     """Camera colours and luminances of n readings.
 
-    rgb [n, 3] : linear camera colours, corrected for vignetting, in cd/m2 at the profile's k; y [n]
-    : luminances Y of the same places by a meter [cd/m2], or by the chart [%]; u_rel [n] : relative
-    uncertainty of the comparison; places [n] : where they are; matrix [3, 3] : XYZ to camera
-    colours, None if the frames do not state it. melanopic [n] : melanopic equivalent daylight
-    luminances by a spectrometer [cd/m2], or None. of_chart : the places are a chart's patches.
+    rgb [n, 3]: linear camera colours, corrected for vignetting, in cd/m2 at the profile's k; y [n]:
+    luminances Y of the same places by a meter [cd/m2], or by the chart [%]; u_rel [n]: relative
+    uncertainty of the comparison; places [n]: where they are; matrix [3, 3]: XYZ to camera colours,
+    None if the frames do not state it. melanopic [n]: melanopic equivalent daylight luminances by a
+    spectrometer [cd/m2], or None. of_chart: the places are a chart's patches.
     """
 
     rgb: Floats
@@ -58,10 +58,10 @@ class Colours:
 class ColourFit(NamedTuple):
     """Fitted coefficients from camera colours to luminance, with uncertainty and residuals.
 
-    y_from_rgb : weights of R, G, B in the luminance. scale : luminance of the readings over that by
-    y_from_rgb, a factor on k that y_from_rgb does not contain. residual [n] : luminance by camera,
-    with `scale`, over the reading minus 1, also for omitted readings. u_rel : relative rms of the
-    held-out errors. choice : how the number of coefficients was chosen.
+    y_from_rgb: weights of R, G, B in the luminance. scale: luminance of the readings over that by
+    y_from_rgb, a factor on k that y_from_rgb does not contain. residual [n]: luminance by camera,
+    with `scale`, over the reading minus 1, also for omitted readings. u_rel: relative rms of the
+    held-out errors. choice: how the number of coefficients was chosen.
     """
 
     y_from_rgb: tuple[float, float, float]
@@ -78,11 +78,11 @@ class ColourFit(NamedTuple):
 def from_table(path: Path, profile: CameraProfile) -> Colours:
     """Read spot readings from a csv with the columns file, x_px, y_px and luminance_cdm2.
 
-    x_px, y_px : place of the reading on the sensor. Optional columns: radius_px of the averaged
-    disc (default 12), u_rel of the reading (default 0.02) and melanopic_cdm2, its melanopic
-    equivalent daylight luminance, in all rows or none. The profile's vignetting is corrected. A
-    column spectrum with files of a JETI spectrometer replaces both. Raises InputError for an
-    invalid csv, an unreadable frame, or a place that is clipped or outside the picture.
+    x_px, y_px: place of the reading on the sensor. Optional columns: radius_px of the averaged disc
+    (default 12), u_rel of the reading (default 0.02) and melanopic_cdm2, its melanopic equivalent
+    daylight luminance, in all rows or none. The profile's vignetting is corrected. A column
+    spectrum with files of a JETI spectrometer replaces both. Raises InputError for an invalid csv,
+    an unreadable frame, or a place that is clipped or outside the picture.
     """
     extra = [name for name in ("melanopic_cdm2", "spectrum") if name in fit_steps.columns_of(path)]
     light = extra if "spectrum" in extra else ["luminance_cdm2", *extra]
@@ -141,7 +141,7 @@ def _patch(
 ) -> tuple[Floats, float]:
     """Return the colour [3] of a patch, corrected for vignetting, and the relative u of a reading.
 
-    at, radius_px : centre and radius of the patch; u_rel : relative u of the meter's reading or of
+    at, radius_px: centre and radius of the patch; u_rel: relative u of the meter's reading or of
     the chart's patch. The result's u also has that of the patch in the frame.
     """
     rgb, u_patch = frame.patch(at.x, at.y, radius_px)
@@ -154,7 +154,7 @@ def from_chart(
 ) -> Colours:
     """Read a 24-patch chart in a frame that is lit evenly, by daylight of cct_k.
 
-    corners_px : x and y of the outer corners of the field of patches, top left (dark skin), top
+    corners_px: x and y of the outer corners of the field of patches, top left (dark skin), top
     right, bottom right (black), bottom left; empty if OpenCV searches the chart. Raises InputError
     if no chart is detected, or if its patches are not in the order of a chart.
     """
@@ -279,9 +279,9 @@ def _solve(colours: Colours, prior: Floats, pull: float, rows: Mask) -> Floats:
 def xyz_from_chart(rgb: Floats, y_from_rgb: Sequence[float], cct_k: float) -> Floats:
     """Return the matrix from camera colours to X, Y, Z by a chart under daylight, [3, 3].
 
-    rgb : camera colours of the 24 patches [24, 3], in any unit, under CIE daylight of the
-    correlated colour temperature cct_k, 4000 to 25 000 K. Y is that of y_from_rgb. The level of
-    each patch is its own luminance by the camera, so that uneven light does no harm.
+    rgb: camera colours of the 24 patches [24, 3], in any unit, under CIE daylight of the correlated
+    colour temperature cct_k, 4000 to 25 000 K. Y is that of y_from_rgb. The level of each patch is
+    its own luminance by the camera, so that uneven light does no harm.
     """
     patches = chart_xyz(cct_k)
     # The greys, patches 19 to 24, have the colour of the daylight itself.
@@ -323,8 +323,8 @@ def xyz_from_matrix(
 ) -> Floats:
     """Return the matrix from camera colours to X, Y, Z by the colour matrix of a raw file, [3, 3].
 
-    matrix : XYZ to camera colours. y_from_rgb : becomes the row of Y. grey [3] : the camera colour
-    whose luminance by the colour matrix is scaled to that by y_from_rgb. cct_k : correlated colour
+    matrix: XYZ to camera colours. y_from_rgb: becomes the row of Y. grey [3]: the camera colour
+    whose luminance by the colour matrix is scaled to that by y_from_rgb. cct_k: correlated colour
     temperature of the daylight if `grey` is the colour of a grey surface in it: the channels then
     get the gains that make it grey, as DNG's CameraCalibration does; None for another colour.
     Raises ValueError if a gain differs from the green one by over a half.
@@ -351,12 +351,12 @@ def with_melanopic(
 ) -> tuple[Colour, str]:
     """Return the profile's colours with a melanopic weight, and a line on where they are from.
 
-    colour : the profile's table with the fitted y_from_rgb and its u. scale : the scale of that
-    fit. cct_k : correlated colour temperature of the daylight on a chart, or on the grey first
-    reading, None if unknown. clear_glass : the camera's rooms have no grey or bronze glass and no
-    film. X, Y, Z come from the chart, else from the colour matrix in the frames. The weight follows
-    from X, Y, Z, and from readings of a spectrometer if there are any. Without any of these, the
-    table has none.
+    colour: the profile's table with the fitted y_from_rgb and its u. scale: the scale of that fit.
+    cct_k: correlated colour temperature of the daylight on a chart, or on the grey first reading,
+    None if unknown. clear_glass: the camera's rooms have no grey or bronze glass and no film. X, Y,
+    Z come from the chart, else from the colour matrix in the frames. The weight follows from X, Y,
+    Z, and from readings of a spectrometer if there are any. Without any of these, the table has
+    none.
     """
     # `origin`: the weights of X, Y, Z and their relative uncertainty, by where the colours are from
     origin, to_xyz = melanopic.BY_MATRIX, rgb_to_xyz(RADIANCE_CHROMATICITIES)
@@ -410,7 +410,7 @@ ROWS, COLUMNS = 4, 6
 def misfit(rgb: Floats) -> float:
     """Return the rms relative difference of 24 camera colours from those of a chart.
 
-    rgb : [24, 3], linear, in any unit, row by row from the dark skin patch. The 3 x 3 matrix that
+    rgb: [24, 3], linear, in any unit, row by row from the dark skin patch. The 3 x 3 matrix that
     fits camera colours best to the chart's is applied first. 0 is a perfect chart; the colours in
     another order give 0.5 and more.
     """
@@ -424,7 +424,7 @@ def misfit(rgb: Floats) -> float:
 def patch_centres(corners: Floats) -> tuple[Array, float]:
     """Return the centres of a chart's patches, x and y [24, 2] px, and the radius to average [px].
 
-    corners : x and y [4, 2] px of the outer corners of the field of patches, clockwise from the
+    corners: x and y [4, 2] px of the outer corners of the field of patches, clockwise from the
     corner at the dark skin patch. Centres are row by row from that patch.
     """
     square = np.array([[0, 0], [COLUMNS, 0], [COLUMNS, ROWS], [0, ROWS]], np.float32)

@@ -57,11 +57,11 @@ def choose(
 ) -> OrderSelection:
     """Return the smallest candidate within one standard error of the best, with a line of text.
 
-    candidates : for each its name, the size (number of free parameters, or a rank in their order),
+    candidates: for each its name, the size (number of free parameters, or a rank in their order),
     and the squared errors [n] of held-out data, which are the same for every candidate. The best
-    has the smallest mean of them; the smallest has the lowest size. what : name of the fit; unit :
-    of the errors' root in that line, "%" of a share. negligible : a candidate whose rms is larger
-    by at most this (in the unit of the errors' root) counts as equal to the best.
+    has the smallest mean of them; the smallest has the lowest size. what: name of the fit; unit: of
+    the errors' root in that line, "%" of a share. negligible: a candidate whose rms is larger by at
+    most this (in the unit of the errors' root) counts as equal to the best.
     """
     names, sizes, errors = zip(*candidates, strict=True)
     rms = np.sqrt([e.mean() for e in errors])
@@ -88,11 +88,11 @@ def fit_and_choose(
 ) -> tuple[Model, Parameters, OrderSelection]:
     """Return the model that held-out data choose, its parameters by all data, and the choice.
 
-    models : for each its name, its size (number of free parameters) and the model. groups [n] :
-    number of the group of each datum; a group is held out as one. solve : fits a model to the data
-    of a mask. errors : squared errors of the data of a mask by a model's parameters, NaN for a
-    datum that cannot be predicted. what : name of the fit; unit : of the root of the errors, "%" of
-    a share. negligible : a model whose rms is larger by at most this counts as equal to the best.
+    models: for each its name, its size (number of free parameters) and the model. groups [n]:
+    number of the group of each datum; a group is held out as one. solve: fits a model to the data
+    of a mask. errors: squared errors of the data of a mask by a model's parameters, NaN for a datum
+    that cannot be predicted. what: name of the fit; unit: of the root of the errors, "%" of a
+    share. negligible: a model whose rms is larger by at most this counts as equal to the best.
     """
     candidates = []
     for name, size, model in models:
@@ -108,7 +108,7 @@ def fit_and_choose(
 def folds(groups: NDArray[np.integer]) -> Iterator[Mask]:
     """Yield a mask [n] for each fit of a cross-validation, True for the data to hold out.
 
-    groups [n] : number of each datum's group, see `held_out_masks`. With up to 24 groups each is
+    groups [n]: number of each datum's group, see `held_out_masks`. With up to 24 groups each is
     held out alone; with more, they are divided into eight sets.
     """
     count = len(np.unique(groups))
@@ -118,9 +118,9 @@ def folds(groups: NDArray[np.integer]) -> Iterator[Mask]:
 def gross_errors(off: Floats, minimum: float) -> Mask:
     """Return a mask [n], True for the residuals that are gross errors of single readings.
 
-    off [n] : residuals about 0. A gross error exceeds `minimum` and five robust standard
-    deviations. All are False if more than a quarter would be True, because the model is then wrong
-    and not the readings.
+    off [n]: residuals about 0. A gross error exceeds `minimum` and five robust standard deviations.
+    All are False if more than a quarter would be True, because the model is then wrong and not the
+    readings.
     """
     far = np.abs(off) > max(5.0 * robust_sigma(off, 0.0), minimum)
     return far if far.mean() <= 0.25 else np.zeros(len(off), bool)
@@ -139,14 +139,14 @@ CsvRow = dict[str, Any]
 def require(count: int, minimum: int, what: str, remedy: str) -> None:
     """Raise NotEnoughDataError if `count` is below `minimum`.
 
-    what : what is counted, in the plural; remedy : what the user can do.
+    what: what is counted, in the plural; remedy: what the user can do.
     """
     if count < minimum:
         raise NotEnoughDataError(f"{what}: {count}; expected at least {minimum}; {remedy}")
 
 
 def require_raw(profile: CameraProfile, remedy: str) -> None:
-    """Raise InputError for a profile of a JPEG camera; remedy : what the user can do."""
+    """Raise InputError for a profile of a JPEG camera; remedy: what the user can do."""
     if profile.camera.kind != "raw":
         raise InputError(profile.camera.name, "a JPEG camera", "a raw camera", remedy)
 
@@ -163,7 +163,7 @@ def read_table(
 ) -> list[CsvRow]:
     """Return the rows of a csv as dicts: numbers, and paths (`file`, `panorama`, `spectrum`).
 
-    required : columns with a value in every line; optional : other columns, with the value of a
+    required: columns with a value in every line; optional: other columns, with the value of a
     missing column or an empty cell; a zero counts as empty unless that value is zero or None. Paths
     are relative to the csv. Separators are commas, semicolons or tabs; with the last two, decimals
     may have a comma. Empty lines and lines that begin with # are skipped. Raises InputError for a
@@ -201,7 +201,7 @@ def columns(rows: Sequence[CsvRow], *names: str) -> Floats:
 def refuse_beyond_lens(widest_deg: float, lens: Lens, source: Path | str) -> None:
     """Raise InputError if the angle widest_deg from the axis is impossible for the lens.
 
-    It may exceed half of full_angle_deg by 5 %, because data sheets round full angles. source : the
+    It may exceed half of full_angle_deg by 5 %, because data sheets round full angles. source: the
     file with the angle, for the error.
     """
     half_deg = lens.full_angle_deg / 2
@@ -249,9 +249,9 @@ def _cell(path: Path, line: int, name: str, text: str, has_commas: bool) -> Any:
 class LinearFrame:
     """A frame as linear camera colours, not corrected for vignetting or for a filter.
 
-    rgb [h, w, 3] : in cd/m2 at the profile's k; bad [h, w] : True for pixels not to use: above 0.97
-    of the saturation, or outside the codes for which a JPEG's response is valid; step : sensor
-    pixels along the edge of a pixel of rgb, 2 for raw and 1 for JPEG; colour_matrix : XYZ to camera
+    rgb [h, w, 3]: in cd/m2 at the profile's k; bad [h, w]: True for pixels not to use: above 0.97
+    of the saturation, or outside the codes for which a JPEG's response is valid; step: sensor
+    pixels along the edge of a pixel of rgb, 2 for raw and 1 for JPEG; colour_matrix: XYZ to camera
     colours [3, 3] as stored in a raw file, else None.
     """
 
@@ -337,7 +337,7 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
 def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
     """Return the index of the lens whose image circle has its centre nearest to a sensor place.
 
-    Distances are relative to the circle's radius. x_px, y_px : the place on the sensor.
+    Distances are relative to the circle's radius. x_px, y_px: the place on the sensor.
     """
     return int(np.argmin([relative_radius(lens, x_px, y_px) for lens in profile.lens]))
 
@@ -345,7 +345,7 @@ def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
 def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
     """Return a place's angle from the lens's axis, over half of the lens's full angle.
 
-    x_px, y_px : on the sensor. 0 on the axis, 1 at the edge of the image circle.
+    x_px, y_px: on the sensor. 0 on the axis, 1 at the edge of the image circle.
     """
     return float(angle_of_radius(lens, relative_radius(lens, x_px, y_px)) / lens.half_angle_rad)
 
@@ -353,7 +353,7 @@ def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
 def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: float) -> float:
     """Return the transmission of the nearest lens at a place on the sensor, relative to its axis.
 
-    f_number : aperture of the frame; x_px, y_px : the place. A value divided by it is corrected for
+    f_number: aperture of the frame; x_px, y_px: the place. A value divided by it is corrected for
     vignetting. It is 1 if the lens has no curve. Raises InputError if the lens only has curves for
     other apertures.
     """
@@ -371,8 +371,8 @@ def read_panoramas(
 ) -> dict[Path, Panorama]:
     """Return the panoramas that the rows of a table name, by file.
 
-    remedy : what else to do when merging again, for the error. Raises InputError for a panorama
-    that was merged with another calibration than the profile's.
+    remedy: what else to do when merging again, for the error. Raises InputError for a panorama that
+    was merged with another calibration than the profile's.
     """
     own, pictures = calibration_mark(profile)["calibration"], {}
     for file in dict.fromkeys(row["panorama"] for row in rows):

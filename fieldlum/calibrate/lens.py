@@ -42,8 +42,8 @@ _POSE = ("azimuth_deg", "tilt_deg", "roll_deg")  # fields of a lens
 class Targets:
     """Known directions of n targets, and their places on the sensor.
 
-    x_px, y_px [n] : x to the right, y down. rays [n, 3] : unit vectors towards the targets, with y
-    in the camera's heading, x to the right, z up. source : file, for errors.
+    x_px, y_px [n]: x to the right, y down. rays [n, 3]: unit vectors towards the targets, with y in
+    the camera's heading, x to the right, z up. source: file, for errors.
     """
 
     x_px: Array
@@ -55,9 +55,9 @@ class Targets:
 class LensFit(NamedTuple):
     """A fitted lens, its held-out error, and warnings.
 
-    widest_deg : largest angle of a target from the axis; the mapping extrapolates beyond it. choice
-    : how the polynomial's order was chosen, with the rms distance of held-out targets or of
-    chessboard corners [px]. warnings : sentences about omitted targets and a pose far from the
+    widest_deg: largest angle of a target from the axis; the mapping extrapolates beyond it. choice:
+    how the polynomial's order was chosen, with the rms distance of held-out targets or of
+    chessboard corners [px]. warnings: sentences about omitted targets and a pose far from the
     profile's.
     """
 
@@ -146,10 +146,10 @@ def _solve(
 ) -> tuple[Lens, Array, Any]:
     """Return the lens that fits places [n] best, the other unknowns [m], and scipy's solution.
 
-    The fit is by robust least squares. start : the lens from which the search starts; model :
-    mapping and powers, one of `MODELS`; x_px, y_px : the places. rays_of : returns the directions
-    [n, 3] of the places for the other unknowns [m], which start at `others`. pose : the lens's pose
-    is fitted too. The last result is that of `scipy.optimize.least_squares`.
+    The fit is by robust least squares. start: the lens from which the search starts; model: mapping
+    and powers, one of `MODELS`; x_px, y_px: the places. rays_of: returns the directions [n, 3] of
+    the places for the other unknowns [m], which start at `others`. pose: the lens's pose is fitted
+    too. The last result is that of `scipy.optimize.least_squares`.
     """
     mapping, powers = model
     names = _POSE if pose else ()
@@ -273,7 +273,7 @@ def _rounded(lens: Lens) -> Lens:
 def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
     """Return a chessboard's inner corners, x and y [rows * columns, 2] px; None without a board.
 
-    columns, rows : numbers of inner corners along the board's sides. Raises InputError if the file
+    columns, rows: numbers of inner corners along the board's sides. Raises InputError if the file
     cannot be read as a picture.
     """
     complete, corners = cv2.findChessboardCornersSB(
@@ -288,8 +288,8 @@ def fit_boards(
 ) -> tuple[LensFit, Targets]:
     """Fit a lens and the poses of n chessboards; return the fit, and the corners as its targets.
 
-    corners : results of `chessboard_corners` [rows * columns, 2] px, one for each picture with a
-    board; columns, rows : numbers of inner corners along the board's sides. The fit starts from
+    corners: results of `chessboard_corners` [rows * columns, 2] px, one for each picture with a
+    board; columns, rows: numbers of inner corners along the board's sides. The fit starts from
     `lens`, and the result has its pose (azimuth, tilt, roll), because boards do not determine it;
     its rms is the residual of the corners. Raises NotEnoughDataError for fewer than four boards,
     InputError for corners that no lens explains.
@@ -366,7 +366,7 @@ def circle(
 
     The search begins at the circle of `lens`, first widely, then closely. The edge is the place
     where linear light is half way between the light just inside the circle and the darkest place
-    outside, along 720 rays. source : the file, for errors. guessed : the circle of `lens` was never
+    outside, along 720 rays. source: the file, for errors. guessed: the circle of `lens` was never
     measured, and the search begins at the bright area instead. Raises InputError if over a tenth of
     the rays have no edge on the circle (in a picture of a room, its edges look like the circle's),
     and for a circle whose centre or radius differs from where the search began by over 15 % of the
@@ -415,7 +415,7 @@ def _bright_area(picture: NDArray[np.uint8]) -> Array:
 def _edge_points(picture: NDArray[np.uint8], around: Array, reach: float) -> tuple[Array, int]:
     """Return points x, y [2, n] on the edge of a circle, and the number of rays that reach it.
 
-    around : x, y and radius of the circle [px]. The edge is searched within `reach`, a share of the
+    around: x, y and radius of the circle [px]. The edge is searched within `reach`, a share of the
     radius. Rays that leave the picture inside the circle are not counted.
     """
     smooth = 255 * gaussian_filter((picture.astype(np.float32) / 255) ** 2.2, 1.0)

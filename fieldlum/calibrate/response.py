@@ -52,9 +52,9 @@ _MIN_BALANCE_CHANGE = 0.06
 class Steps(NamedTuple):
     """The exposures of brackets by the overlap of frames, and how much steps contradict the labels.
 
-    log_exposure [exposures] : ln, corrected, with the labels' span. deviation [exposures - 1] : of
+    log_exposure [exposures]: ln, corrected, with the labels' span. deviation [exposures - 1]: of
     each step from its label, ln of light; 0 where the overlap does not contradict the label.
-    balance : largest change of red or blue against green between two frames, ln, of which the
+    balance: largest change of red or blue against green between two frames, ln, of which the
     response hides a part; 0 for none.
     """
 
@@ -79,8 +79,8 @@ class Steps(NamedTuple):
 def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: Indices) -> Steps:
     """Correct the exposures of brackets by the overlap of the frames, starting from the labels.
 
-    codes [places, exposures, 3] : 0 for an exposure that a place's bracket lacks; log_exposure
-    [exposures] : ln of the exposures by the labels, increasing; bracket [places] : index of each
+    codes [places, exposures, 3]: 0 for an exposure that a place's bracket lacks; log_exposure
+    [exposures]: ln of the exposures by the labels, increasing; bracket [places]: index of each
     place's bracket. With fewer than 20 places nothing is corrected.
     """
     step = np.diff(log_exposure)
@@ -168,11 +168,11 @@ def _without_stretch(deviation: Floats, u: Floats, step: Floats) -> Floats:
 class Places(NamedTuple):
     """The codes of the same places in all frames of a bracket, for several brackets.
 
-    codes [places, exposures, 3] : code of a place in R, G, B; 0 if its bracket has no such
-    exposure. log_exposure [exposures] : ln of (true shutter time [s] times ISO); bracket [places] :
-    index of each place's bracket; law : how log_exposure follows from the nominal shutter times;
-    steps : where the overlap of the frames contradicts them, log_exposure is corrected. frames :
-    files of all brackets.
+    codes [places, exposures, 3]: code of a place in R, G, B; 0 if its bracket has no such exposure.
+    log_exposure [exposures]: ln of (true shutter time [s] times ISO); bracket [places]: index of
+    each place's bracket; law: how log_exposure follows from the nominal shutter times; steps: where
+    the overlap of the frames contradicts them, log_exposure is corrected. frames: files of all
+    brackets.
     """
 
     codes: NDArray[np.uint8]
@@ -305,7 +305,7 @@ def _is_steady(codes: NDArray[np.uint8], log_exposure: Floats) -> Mask:
 def _noise_spread(spread: NDArray[np.uint8], level: NDArray[np.uint8]) -> Floats:
     """Return the largest spread of 3 x 3 codes that noise explains, for each mean code, [256].
 
-    spread, level : highest minus lowest, and mean code of the blocks [frames, places]. A code has
+    spread, level: highest minus lowest, and mean code of the blocks [frames, places]. A code has
     the same noise in all frames, but in some frames only edges have it, such as a lamp's in a dark
     one. So the frame counts in which a quarter of the blocks of similar codes has the smallest
     spread. The limit is 1.5 times this spread, and at least 9 codes.
@@ -342,8 +342,8 @@ def place_variances(
     """Return the variance of ln(z / exposure) over the frames of each place, [places].
 
     With the right table it contains only noise, because the light of a place is the same in all
-    frames. table [256] : linear light z of each code; codes [places, frames] : those of one colour;
-    log_e [frames] : ln of exposure. Codes from `low` to 228 count; NaN for places with fewer than
+    frames. table [256]: linear light z of each code; codes [places, frames]: those of one colour;
+    log_e [frames]: ln of exposure. Codes from `low` to 228 count; NaN for places with fewer than
     two.
     """
     off = _off_mean(table, codes, log_e, low)
@@ -355,8 +355,8 @@ def place_variances(
 def _off_mean(table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int) -> Floats:
     """Return ln(z / exposure) of each frame minus its mean over the frames, [places, frames].
 
-    It is NaN for codes that are not from `low` to 228. table [256] : linear light z of each code;
-    codes [places, frames] : those of one colour; log_e [frames] : ln of exposure.
+    It is NaN for codes that are not from `low` to 228. table [256]: linear light z of each code;
+    codes [places, frames]: those of one colour; log_e [frames]: ln of exposure.
     """
     counts = (codes >= low) & (codes <= HIGH)
     counts &= counts.sum(axis=1, keepdims=True) >= 2

@@ -24,10 +24,10 @@ _UNITS = "1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx = 1000 lx"
 class LuminanceReading(NamedTuple):
     """One comparison of a meter's reading with the picture's value at the same place.
 
-    kind : "spot" or "illuminance". label : name of the reading, for messages. meter, image : value
-    by the meter and by the picture at the profile's k, in cd/m2 for a spot, else in lx. u_rel :
-    relative uncertainty of their ratio, without that of the meter's calibration; u_image : the part
-    of the picture's value. place : in its panorama.
+    kind: "spot" or "illuminance". label: name of the reading, for messages. meter, image: value by
+    the meter and by the picture at the profile's k, in cd/m2 for a spot, else in lx. u_rel:
+    relative uncertainty of their ratio, without that of the meter's calibration; u_image: the part
+    of the picture's value. place: in its panorama.
     """
 
     kind: str
@@ -137,7 +137,7 @@ def spot_cdm2(
     The tenth of the pixels with the smallest and the tenth with the largest values do not count.
 
     The field is a disc of 1 degree diameter around the direction, at least a few pixels wide.
-    azimuth_deg : clockwise from north; file : for errors. Raises InputError for a place that is
+    azimuth_deg: clockwise from north; file: for errors. Raises InputError for a place that is
     clipped or without light.
     """
     from scipy.stats import trim_mean
@@ -161,8 +161,8 @@ def fit(
 ) -> ScaleFit:
     """Fit one factor on k by weighted least squares of ln(meter / picture) with Huber weights.
 
-    meter_u : relative standard uncertainty of the meter's calibration, common to all readings, part
-    of u(k); source : the csv, for errors. A reading is an outlier if it differs by more than three
+    meter_u: relative standard uncertainty of the meter's calibration, common to all readings, part
+    of u(k); source: the csv, for errors. A reading is an outlier if it differs by more than three
     u_rel and by more than 10 %. Raises NotEnoughDataError without readings, InputError if a reading
     is not positive, or if more than a third of them are outliers.
     """

@@ -29,8 +29,7 @@ from fieldlum.optics.raw import Mosaic, channel_positions, frame_files
 class PixelDefects(NamedTuple):
     """The bad pixels of a sensor, and the evidence for them.
 
-    bad_px : column and row of each; frames : the frames that were read; line : text for the
-    profile.
+    bad_px: column and row of each; frames: the frames that were read; line: text for the profile.
     """
 
     bad_px: tuple[tuple[int, int], ...]
@@ -41,7 +40,7 @@ class PixelDefects(NamedTuple):
 def find(sources: Sequence[Path], profile: CameraProfile) -> PixelDefects:
     """Find the bad pixels of a raw camera in frames with the cap on.
 
-    sources : frames, or folders of frames. Raises InputError for frames that are not raw frames of
+    sources: frames, or folders of frames. Raises InputError for frames that are not raw frames of
     this camera, and for a frame with light; NotEnoughDataError for fewer than two frames, or if too
     many pixels deviate.
     """

@@ -40,9 +40,9 @@ Pair = tuple[float, float]  # nominal times of the longer and the shorter frame 
 class ShutterReading(NamedTuple):
     """The measured exposure ratio of two neighbouring frames of a bracket.
 
-    pair : nominal times of the longer and of the shorter frame [s]. log_ratio : ln(true / assumed
-    exposure) of the shorter frame minus that of the longer one; u_log : standard uncertainty of
-    log_ratio; seconds : time from the longer to the shorter frame, 0 if unknown.
+    pair: nominal times of the longer and of the shorter frame [s]. log_ratio: ln(true / assumed
+    exposure) of the shorter frame minus that of the longer one; u_log: standard uncertainty of
+    log_ratio; seconds: time from the longer to the shorter frame, 0 if unknown.
     """
 
     pair: Pair
@@ -57,9 +57,9 @@ Bracket = Sequence[ShutterReading]
 class TimeRatio(NamedTuple):
     """The measured exposure ratio of one pair of shutter times, over all brackets.
 
-    median : that of log_ratio (see `ShutterReading`); spread : standard deviation of log_ratio over
-    brackets, without the noise of single readings; error : standard error of the median; brackets :
-    number of readings of the pair; seconds : median time from the longer to the shorter frame.
+    median: that of log_ratio (see `ShutterReading`); spread: standard deviation of log_ratio over
+    brackets, without the noise of single readings; error: standard error of the median; brackets:
+    number of readings of the pair; seconds: median time from the longer to the shorter frame.
     """
 
     median: float
@@ -72,9 +72,9 @@ class TimeRatio(NamedTuple):
 class ShutterFit(NamedTuple):
     """Fitted shutter times; each replaces the profile's time with the same nominal value.
 
-    times : longest first. assumed_s : true time [s] by the profile before the fit, for each of
-    `times`; brackets : largest number of brackets with a pair that contains the time, for each of
-    `times`; left_out : texts on pairs that were not used, with the reason; line : about the choice,
+    times: longest first. assumed_s: true time [s] by the profile before the fit, for each of
+    `times`; brackets: largest number of brackets with a pair that contains the time, for each of
+    `times`; left_out: texts on pairs that were not used, with the reason; line: about the choice,
     for the profile.
     """
 
@@ -94,7 +94,7 @@ def from_session(
 ) -> tuple[list[list[ShutterReading]], tuple[Path, ...]]:
     """Return the readings of every bracket that was merged with this profile, and their sidecars.
 
-    profile_sha256 : of the profile's file, as the sidecars record it. One list of readings for each
+    profile_sha256: of the profile's file, as the sidecars record it. One list of readings for each
     bracket, in the order of the sidecars. Brackets without a usable ratio are omitted. Raises
     InputError if no bracket remains and some were merged with another profile, NotEnoughDataError
     if none remains otherwise.
@@ -120,8 +120,8 @@ def from_session(
 def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfile:
     """Return the profile with the shutter law of the merged brackets if its own is "auto".
 
-    Another law of the profile remains. sidecars : files of the merged brackets. Raises InputError
-    if the law is "auto" and the brackets were merged with several laws.
+    Another law of the profile remains. sidecars: files of the merged brackets. Raises InputError if
+    the law is "auto" and the brackets were merged with several laws.
     """
     reports = [Sidecar.read(path).report for path in sidecars]
     laws = sorted({report.shutter_law.law for report in reports if report.shutter_law})
@@ -180,7 +180,7 @@ def _reading(
 def pool(brackets: Sequence[Bracket], drift: bool = True) -> dict[Pair, TimeRatio]:
     """Return the exposure ratio of each pair of shutter times over all brackets, by the pair.
 
-    drift : whether to remove the drift of the light, a line over time, from each bracket first.
+    drift: whether to remove the drift of the light, a line over time, from each bracket first.
     """
     logs: dict[Pair, list[tuple[float, float, float]]] = defaultdict(list)
     first = pool(brackets, drift=False) if drift else {}
@@ -192,7 +192,7 @@ def pool(brackets: Sequence[Bracket], drift: bool = True) -> dict[Pair, TimeRati
 
 
 def _pair_ratio(values: Floats) -> TimeRatio:
-    """Return the ratio of a pair of times; values [3, brackets] : log_ratio, its u, seconds."""
+    """Return the ratio of a pair of times; values [3, brackets]: log_ratio, its u, seconds."""
     median, noise, seconds = np.median(values, axis=1).tolist()
     sigma, n = robust_sigma(values[0]), values.shape[1]
     return TimeRatio(

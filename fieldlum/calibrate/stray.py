@@ -36,9 +36,9 @@ NODE_SETS: tuple[tuple[float, ...], ...] = (
 class StrayReading:
     """The stray light at one dark place, and the light that may cause it.
 
-    place : in its panorama. stray_cdm2 : recorded minus true luminance of the place. angle_rad [n]
-    : angle from the place to each lit pixel of the same lens's field, and to the sun disc if the
-    field contains it; flux [n] : luminance of that pixel times its solid angle, or the disc's
+    place: in its panorama. stray_cdm2: recorded minus true luminance of the place. angle_rad [n]:
+    angle from the place to each lit pixel of the same lens's field, and to the sun disc if the
+    field contains it; flux [n]: luminance of that pixel times its solid angle, or the disc's
     illuminance on a plane normal to it [lx].
     """
 
@@ -81,9 +81,9 @@ def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
 def reading(picture: Panorama, profile: CameraProfile, row: fit_steps.CsvRow) -> StrayReading:
     """Return the stray light at a dark place of a picture, and the light that may cause it.
 
-    row : the line of the csv with the place. Only the field of the lens whose axis is nearest to
-    the place counts. Raises InputError for a place that is clipped, outside the lens or not
-    brighter than in reality.
+    row: the line of the csv with the place. Only the field of the lens whose axis is nearest to the
+    place counts. Raises InputError for a place that is clipped, outside the lens or not brighter
+    than in reality.
     """
     height, width = picture.luminance_cdm2.shape
     place = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])
@@ -118,9 +118,9 @@ def reading(picture: Panorama, profile: CameraProfile, row: fit_steps.CsvRow) ->
 def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> StrayFit:
     """Fit a kernel K >= 0 that falls with the angle from a source.
 
-    Held-out readings choose the number of angles at which K is fitted. source : the csv, for
-    errors. Raises NotEnoughDataError for fewer than eight readings, InputError for a kernel that
-    spreads over 30 % of a source's light.
+    Held-out readings choose the number of angles at which K is fitted. source: the csv, for errors.
+    Raises NotEnoughDataError for fewer than eight readings, InputError for a kernel that spreads
+    over 30 % of a source's light.
     """
     remedy = "add dark places at other angles from the light"
     fit_steps.require(len(readings), 8, f"{source}: readings of dark places", remedy)
@@ -172,7 +172,7 @@ def _falling(design: Floats, stray: Floats) -> Floats:
 def total_share(nodes_deg: Sequence[float], values_per_sr: Floats) -> float:
     """Return the share of a source's light that the kernel K spreads over the sphere.
 
-    nodes_deg, values_per_sr : [n], ascending angles above 0 [deg] and K there [1/sr], interpolated
+    nodes_deg, values_per_sr: [n], ascending angles above 0 [deg] and K there [1/sr], interpolated
     linearly in ln(angle), constant outside. The share is 0 to 1 for a physical kernel; it is not
     clipped.
     """

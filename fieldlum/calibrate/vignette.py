@@ -31,10 +31,10 @@ MAX_ERROR = 0.03
 class Samples(NamedTuple):
     """The n readings of one lens at one aperture.
 
-    r [n] : angle from the axis over half of the lens's full angle; value [n] : light in any linear
-    unit; u_rel [n] : relative uncertainty of the value; lens : index of the lens in the profile;
-    frames : files. Readings of equal angle are held out together. places : those of the readings,
-    if they are patches.
+    r [n]: angle from the axis over half of the lens's full angle; value [n]: light in any linear
+    unit; u_rel [n]: relative uncertainty of the value; lens: index of the lens in the profile;
+    frames: files. Readings of equal angle are held out together. places: those of the readings, if
+    they are patches.
     """
 
     r: Array
@@ -49,9 +49,9 @@ class Samples(NamedTuple):
 class VignettingFit(NamedTuple):
     """A fitted vignetting curve: transmission relative to the axis, in powers of r of `Samples`.
 
-    u_rel : relative rms of held-out readings; residual_rel [n] : reading over fit minus 1, also for
-    omitted readings. coefficients : factors of the powers 0, 1, 2 ... of r; the first is 1. level :
-    the readings' value on the axis. choice : how the number of powers was chosen.
+    u_rel: relative rms of held-out readings; residual_rel [n]: reading over fit minus 1, also for
+    omitted readings. coefficients: factors of the powers 0, 1, 2 ... of r; the first is 1. level:
+    the readings' value on the axis. choice: how the number of powers was chosen.
     """
 
     coefficients: tuple[float, ...]
@@ -70,7 +70,7 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
 
     The first form has the columns angle_deg and value, the second file, x_px and y_px. Optional
     columns: reference (a meter's reading at that time, which corrects the drift of a lamp); u_rel
-    and f_number in the first form; radius_px of the patch (default 12) in the second. lens : index
+    and f_number in the first form; radius_px of the patch (default 12) in the second. lens: index
     for the first form; the second has the lens that shows the first patch. Raises InputError for
     other columns or values.
     """
@@ -118,8 +118,8 @@ def _one_aperture(source: Path, f_numbers: dict[Path, float], remedy: str) -> fl
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
     """Read frames of an evenly lit field (a sphere, a diffuser) as medians over 60 rings.
 
-    lens : index of the lens in the profile; rings are of equal angle from its axis. Each frame
-    gives its own readings. Raises InputError for frames of several apertures, or if all pixels are
+    lens: index of the lens in the profile; rings are of equal angle from its axis. Each frame gives
+    its own readings. Raises InputError for frames of several apertures, or if all pixels are
     saturated or dark.
     """
     geometry, rings = profile.lens[lens], []
@@ -274,7 +274,7 @@ def with_curve(lens: Lens, f_number: float, vignetting: VignettingFit) -> Lens:
 def chart(samples: Samples, fit: VignettingFit, half_angle_deg: float) -> Chart:
     """Return a chart of transmission over the angle from the axis.
 
-    half_angle_deg : half of the lens's full angle.
+    half_angle_deg: half of the lens's full angle.
     """
     angle = ("angle from the optical axis [deg]", samples.r * half_angle_deg)
     value = ("transmission relative to the axis", samples.value / fit.level)

@@ -112,7 +112,7 @@ def equirect_pixel(
 ) -> tuple[Floats, Floats]:
     """Return the continuous (row, column) of directions in a panorama, [...] each.
 
-    altitude_deg, azimuth_deg: of the directions [...]; height, width: in pixels; heading_deg :
+    altitude_deg, azimuth_deg: of the directions [...]; height, width: in pixels; heading_deg:
     azimuth of the middle. Pixel (i, j) covers [i, i + 1) x [j, j + 1); row 0 is the zenith, column
     W / 2 the heading. Columns wrap into [0, W).
     """

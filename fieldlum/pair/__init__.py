@@ -312,8 +312,8 @@ def write_patches(
 ) -> list[str]:
     """Write sunpatches/<slot>.exr of n brackets; return the paths in the session, "" without room.
 
-    light : at the n brackets. A patch that exists for the same room, camera and sun is used again
-    unless `force`. scheduler : where the others are computed.
+    light: at the n brackets. A patch that exists for the same room, camera and sun is used again
+    unless `force`. scheduler: where the others are computed.
     """
     if setup.room is None or not brackets:
         return [""] * len(brackets)
@@ -345,9 +345,9 @@ def trace_patches(
 ) -> None:
     """Write the sun patches of one unit of work; the room is that of session.toml.
 
-    root : of the session. argument : (slot id, digest of what its patch depends on) of n slots,
-    their light, and (height [px], heading [deg clockwise from north]) of the panoramas. Raises
-    InputError for an impossible room.
+    root: of the session. argument: (slot id, digest of what its patch depends on) of n slots, their
+    light, and (height [px], heading [deg clockwise from north]) of the panoramas. Raises InputError
+    for an impossible room.
     """
     job, light, (height, heading_deg) = argument
     session = Session(root)

@@ -42,7 +42,7 @@ _DIFFUSE_EFFICACY, _DIRECT_EFFICACY = _TABLES[40:].reshape(2, 8, 4)
 class SkyPatches:
     """The division of the sky into patches, without the ground.
 
-    directions [P, 3] : of the patches' middles; solid_angles_sr [P] : with the sum 2 pi.
+    directions [P, 3]: of the patches' middles; solid_angles_sr [P]: with the sum 2 pi.
     """
 
     directions: Floats
@@ -56,7 +56,7 @@ class SkyPatches:
 def patches_per_row(mf: int) -> list[int]:
     """Return the number of Reinhart patches in each row from the horizon up, then 1 for the zenith.
 
-    mf : number of rows and columns into which each Tregenza patch is divided.
+    mf: number of rows and columns into which each Tregenza patch is divided.
     """
     return [n * mf for n in (30, 30, 24, 24, 18, 12, 6) for _ in range(mf)] + [1]
 
@@ -65,7 +65,7 @@ def patches_per_row(mf: int) -> list[int]:
 def reinhart_patches(mf: int = 4) -> SkyPatches:
     """Return Reinhart's division of the sky, 144 mf^2 + 1 patches.
 
-    mf : number of rows and columns into which each Tregenza patch is divided. The order is that of
+    mf: number of rows and columns into which each Tregenza patch is divided. The order is that of
     Radiance's reinhartb.cal and rskysrc.cal: patch 0 is centred on north at the horizon, azimuth
     increases clockwise, and rows follow upwards. The ground is not a patch.
     """
@@ -221,7 +221,7 @@ def perez_coefficients(
 ) -> PerezSky:
     """Return skies from direct normal and diffuse horizontal irradiance, as gendaylit -W does.
 
-    dni_wm2, dhi_wm2, sun_altitude_deg (true, without refraction), day_of_year (from 1) : [n] or one
+    dni_wm2, dhi_wm2, sun_altitude_deg (true, without refraction), day_of_year (from 1): [n] or one
     value for all. The sun's altitude is limited to 0 to 87 degrees, as in gendaylit. A sky outside
     the model (with a positive coefficient b) is levelled towards the horizon; gendaylit gives a
     black sky. Negative irradiance counts as 0. Source: Perez, Seals and Michalsky 1993.

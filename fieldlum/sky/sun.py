@@ -181,9 +181,9 @@ def _ecliptic_longitude_deg(moment: datetime) -> float:
 def season(year: int, which: int) -> datetime:
     """Return the moment of an equinox or a solstice in UTC, to the second.
 
-    year : of the calendar; which : 0 March equinox, 1 June solstice, 2 September equinox, 3
-    December solstice: the sun's apparent ecliptic longitude is then ``90 deg * which``. It is
-    within a minute of the almanac's tables from 1950 to 2050.
+    year: of the calendar; which: 0 March equinox, 1 June solstice, 2 September equinox, 3 December
+    solstice: the sun's apparent ecliptic longitude is then ``90 deg * which``. It is within a
+    minute of the almanac's tables from 1950 to 2050.
     """
     month, target = (3, 6, 9, 12)[which], 90.0 * which
     moment = datetime(year, month, 21, tzinfo=UTC)
@@ -306,7 +306,7 @@ def wrong_level(
     """Return a text if clear rows are not as bright as a cloudless sky, "" if they are.
 
     The sensitivity, unit or calibration is then wrong, which no ratio of two components shows.
-    ghi_wm2, dhi_wm2, altitude_deg (true) : [n]. A row is clear if its diffuse irradiance is under a
+    ghi_wm2, dhi_wm2, altitude_deg (true): [n]. A row is clear if its diffuse irradiance is under a
     fifth of the global. Fewer than ten clear rows give "".
     """
     rows = np.flatnonzero((dhi_wm2 < 0.2 * ghi_wm2) & (ghi_wm2 > 50.0) & (altitude_deg > 15.0))
@@ -347,8 +347,8 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
 def horizontal_beam(normal: ArrayLike, altitude_deg: ArrayLike) -> Floats:
     """Return the horizontal component of direct normal light, in its unit, [n]; 0 after sunset.
 
-    normal : irradiance or illuminance on a plane normal to the sun [n]; altitude_deg : true
-    altitude of the sun [n].
+    normal: irradiance or illuminance on a plane normal to the sun [n]; altitude_deg: true altitude
+    of the sun [n].
     """
     return np.asarray(normal, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
 
@@ -356,7 +356,7 @@ def horizontal_beam(normal: ArrayLike, altitude_deg: ArrayLike) -> Floats:
 def dhi_by_closure(ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike) -> Floats:
     """Return diffuse = global - DNI sin(altitude), never negative, [n], in W/m2.
 
-    ghi_wm2, dni_wm2, altitude_deg : [n] each. With the sun below the horizon it is the global.
+    ghi_wm2, dni_wm2, altitude_deg: [n] each. With the sun below the horizon it is the global.
     """
     return np.maximum(np.asarray(ghi_wm2, float) - horizontal_beam(dni_wm2, altitude_deg), 0.0)
 
@@ -364,8 +364,8 @@ def dhi_by_closure(ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLi
 def dni_by_closure(ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, altitude_deg: ArrayLike) -> Floats:
     """Return DNI = (global - diffuse) / sin(altitude), [n], in W/m2.
 
-    ghi_wm2, dhi_wm2, altitude_deg : [n] each. Noise can make it negative: values are not clipped,
-    so that a mean has no bias. Zero at altitudes up to 2 degrees, where it cannot be determined.
+    ghi_wm2, dhi_wm2, altitude_deg: [n] each. Noise can make it negative: values are not clipped, so
+    that a mean has no bias. Zero at altitudes up to 2 degrees, where it cannot be determined.
     """
     altitude = np.asarray(altitude_deg, float)
     sine = np.sin(np.radians(np.maximum(altitude, 2.0)))
@@ -395,8 +395,8 @@ def bsrn_limits(
     """Return BSRN's limits of irradiance: the physically possible ones, or the extremely rare ones.
 
     Source: Long and Dutton 2002 (QCRad). Each of GHI, DHI and DNI has a lowest and a highest value.
-    altitude_deg : [n], below 0 counts as 0; extraterrestrial : [n] on a plane normal to the sun,
-    W/m2. extreme : return the narrower limits, which are exceeded extremely rarely.
+    altitude_deg: [n], below 0 counts as 0; extraterrestrial: [n] on a plane normal to the sun,
+    W/m2. extreme: return the narrower limits, which are exceeded extremely rarely.
     """
     sine = np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     top = np.asarray(extraterrestrial, float)
@@ -410,7 +410,7 @@ def too_weak(ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: Arra
 
     It is less than 0.5 % of extraterrestrial sin(altitude): the instrument is covered or dead, or
     the unit is kW/m2. The darkest storm transmits ten times as much, a file in kW/m2 has a seventh.
-    ghi_wm2, altitude_deg (true), extraterrestrial [W/m2] : [n] each. False for a sun up to 10
+    ghi_wm2, altitude_deg (true), extraterrestrial [W/m2]: [n] each. False for a sun up to 10
     degrees.
     """
     is_high = np.asarray(altitude_deg, float) > CLEAR_SUN_DEG
@@ -423,7 +423,7 @@ def closure_ratio(
 ) -> Floats:
     """Return the ratio of global to diffuse + DNI sin(altitude), 1 for consistent rows, [n].
 
-    All arguments : [n], irradiances in W/m2, true altitude. NaN (not testable) where the sum of
+    All arguments: [n], irradiances in W/m2, true altitude. NaN (not testable) where the sum of
     diffuse and direct is not over 50 W/m2.
     """
     total = np.asarray(dhi_wm2, float) + horizontal_beam(dni_wm2, altitude_deg)

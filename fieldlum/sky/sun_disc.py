@@ -44,11 +44,11 @@ PIXEL_SIGMA = 1 / np.sqrt(12.0)  # pixels: standard deviation of a place within 
 class SunDisc:
     """The sun disc in a map.
 
-    altitude_deg, azimuth_deg : its measured centre of energy; sigma_deg : standard uncertainty of
-    the centre along each axis, NaN if the map cannot determine it (then the centre is the expected
-    position). normal_lx : illuminance on a plane normal to the sun, in excess of the surroundings;
-    a lower bound if `clipped`. pixels [H, W] : mask of the disc's pixels; surroundings_cdm2 :
-    luminance of these pixels without the disc.
+    altitude_deg, azimuth_deg: its measured centre of energy; sigma_deg: standard uncertainty of the
+    centre along each axis, NaN if the map cannot determine it (then the centre is the expected
+    position). normal_lx: illuminance on a plane normal to the sun, in excess of the surroundings; a
+    lower bound if `clipped`. pixels [H, W]: mask of the disc's pixels; surroundings_cdm2: luminance
+    of these pixels without the disc.
     """
 
     altitude_deg: float
@@ -101,10 +101,10 @@ def find_disc(
 ) -> SunDisc | None:
     """Return the sun disc in a map [H, W = 2H]; None if there is no disc.
 
-    luminance_cdm2 : the map [H, W]; heading_deg : azimuth of its centre. near_deg : expected
-    apparent altitude and azimuth, clockwise from north, correct to 3 degrees or 2.5 pixels. Without
-    it the map's brightest spot is examined, which must not be brighter than the sun can be. clipped
-    [H, W] : pixels whose luminance is a lower bound. dni_wm2 : direct irradiance, None if unknown.
+    luminance_cdm2: the map [H, W]; heading_deg: azimuth of its centre. near_deg: expected apparent
+    altitude and azimuth, clockwise from north, correct to 3 degrees or 2.5 pixels. Without it the
+    map's brightest spot is examined, which must not be brighter than the sun can be. clipped [H,
+    W]: pixels whose luminance is a lower bound. dni_wm2: direct irradiance, None if unknown.
 
     A disc is a compact spot. Its brightest pixel exceeds any surface or sky and three times its
     surroundings, and its energy is that of a disc of 1e6 cd/m2 or more. If pixels near `near_deg`
@@ -134,7 +134,7 @@ def find_disc(
 def brightest_surface_cdm2(dni_wm2: float) -> float:
     """Return the luminance [cd/m2] that surfaces and the sky away from the sun never exceed.
 
-    dni_wm2 : direct normal irradiance. It is three times the luminance of a white surface in that
+    dni_wm2: direct normal irradiance. It is three times the luminance of a white surface in that
     sun, which only clouds near the sun approach, but at least that of a bright overcast sky.
     """
     return max(3.0 * _LUMENS_PER_WATT * dni_wm2 / np.pi, _BRIGHTEST_SKY_CDM2)
@@ -150,8 +150,8 @@ def add_disc(
 ) -> Floats32:
     """Return maps [n, H, W] with each disc's energy added to the pixel of the sun.
 
-    luminance_cdm2 [n, H, W] : without discs; disc_lx [n] : illuminance on a plane normal to the
-    sun; light : its apparent sun positions count; heading_deg : azimuth of the maps' centre.
+    luminance_cdm2 [n, H, W]: without discs; disc_lx [n]: illuminance on a plane normal to the sun;
+    light: its apparent sun positions count; heading_deg: azimuth of the maps' centre.
     """
     place = (light.apparent_altitude_deg, light.sun_azimuth_deg)
     return add_source(luminance_cdm2, place, disc_lx, heading_deg)
@@ -165,9 +165,9 @@ def add_source(
 ) -> Floats32:
     """Return maps [n, H, W] with a source of one pixel added to each.
 
-    luminance_cdm2 [n, H, W] : without the sources. place_deg : altitudes and azimuths [n] of the
-    sources, clockwise from true north. normal_lx [n] : illuminance on a plane normal to their
-    directions; heading_deg : azimuth of the maps' centre.
+    luminance_cdm2 [n, H, W]: without the sources. place_deg: altitudes and azimuths [n] of the
+    sources, clockwise from true north. normal_lx [n]: illuminance on a plane normal to their
+    directions; heading_deg: azimuth of the maps' centre.
     """
     height, width = luminance_cdm2.shape[1:]
     row, column = equirect_pixel(*place_deg, height, width, heading_deg)

@@ -49,7 +49,7 @@ _MAX_DARK_SHARE = 0.02
 def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Weather:
     """Read a weather file of any format of `formats` as hours at `site`.
 
-    label_shift_min : minutes added to the times that the file states, if its labels are wrong;
+    label_shift_min: minutes added to the times that the file states, if its labels are wrong;
     listed in `.repairs`. The path ``synthetic`` gives a synthetic year of the site.
 
     Smaller faults are repaired and listed in `.repairs`: night offsets, 29 February of a typical
@@ -98,7 +98,7 @@ SHIPPED_SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 def shipped_seattle(site: Site | None = None) -> Weather:
     """Return the shipped typical year of Seattle of Liu, Colburn and Inanici 2020.
 
-    site : the site of the result, for which the file is checked; None: Seattle.
+    site: the site of the result, for which the file is checked; None: Seattle.
     """
     return read_weather(shipped("capture_plans") / "seattle_dni_dhi.csv", site or SHIPPED_SITE)
 
@@ -215,7 +215,7 @@ def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
 def _fill_gaps(path: Path, year: Weather, rows: list[WeatherRow], repairs: list[str]) -> Weather:
     """Return the year with short gaps interpolated and long gaps left out; list both in `repairs`.
 
-    year : without times, with the irradiances of the rows; rows : for their times. GHI is DHI + DNI
+    year: without times, with the irradiances of the rows; rows: for their times. GHI is DHI + DNI
     sin(altitude) where the file has none. Raises NotEnoughDataError without an hour that has both
     DNI and DHI.
     """

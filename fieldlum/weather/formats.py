@@ -211,7 +211,7 @@ def _header_place(
 ) -> tuple[Site, timedelta]:
     """Return the place in line 1, and its clock minus UTC.
 
-    columns : of latitude, longitude, altitude and zone, from 0; expected : for errors.
+    columns: of latitude, longitude, altitude and zone, from 0; expected: for errors.
     """
     cells = strict_csv.split_header(path, (1, lines[0]))
     values = [cells[k] for k in columns] if len(cells) > max(columns) else []
@@ -238,7 +238,7 @@ def _moment(date: Cells, hour: str, minute: str = "0") -> datetime:
 def best_of(tables: Mapping[str, WeatherTable], what: str) -> WeatherTable:
     """Return the table with which the fewest hours contradict the sun, with a note on the choice.
 
-    tables : ways to read the times of one file, by name; each has a place. what : how the note
+    tables: ways to read the times of one file, by name; each has a place. what: how the note
     begins.
     """
     against: dict[str, int] = {}

@@ -32,7 +32,7 @@ MIN_HOURS = 20  # with fewer, a median or a quantile decides nothing; chosen
 class _Sun:
     """The sun at a station in the hours of a weather year, for any shift of their times.
 
-    t_unix_s [n] : middles of the hours. Positions are interpolated between quarters of an hour.
+    t_unix_s [n]: middles of the hours. Positions are interpolated between quarters of an hour.
     """
 
     def __init__(self, weather: Weather, station: Site) -> None:
@@ -73,7 +73,7 @@ def _morning_excess(dni_wm2: Floats, station: _Sun, shift_min: float) -> float:
     """Return the relative excess of DNI in clear mornings over clear afternoons, -1 to 1.
 
     It is the mean over altitudes of the difference over the sum, each at the quantile 0.8 of DNI.
-    dni_wm2 [n], station : of the file's hours; shift_min : added to all times. NaN without an
+    dni_wm2 [n], station: of the file's hours; shift_min: added to all times. NaN without an
     altitude at which both have 20 hours.
     """
     altitude, morning = station.altitude_deg(shift_min), station.is_morning(shift_min)
@@ -121,7 +121,7 @@ def check_plausible(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) 
     """Return warnings about a file whose values or labels are doubtful at `place`.
 
     They are about sunrises and sunsets that are not those of `place`, a wrong level of clear hours,
-    and labels that seem to be off by more than 20 minutes. ghi_wm2 : [n] global irradiance of the
+    and labels that seem to be off by more than 20 minutes. ghi_wm2: [n] global irradiance of the
     file itself, NaN where it has none, W/m2. Raises InputError if values or labels cannot be true.
     """
     station = _Sun(weather, place)
@@ -169,7 +169,7 @@ def _wrong_column(
 ) -> tuple[str, str, str] | None:
     """Return texts if a column has another component: what was found, expected, and the cause.
 
-    altitude : of the sun [n] deg; total : DHI + DNI sin(altitude) [n] W/m2; ghi_wm2 : global
+    altitude: of the sun [n] deg; total: DHI + DNI sin(altitude) [n] W/m2; ghi_wm2: global
     irradiance of the file itself [n], NaN where it has none. None if nothing shows a wrong column.
     """
     up, dni, dhi = altitude > sun.CLEAR_SUN_DEG, weather.dni_wm2, weather.dhi_wm2
@@ -210,7 +210,7 @@ def _wrong_column(
 def _horizontal_beam(dni_wm2: Floats, altitude: Floats) -> tuple[str, str, str] | None:
     """Return texts as `_wrong_column` if the column of DNI is of a horizontal plane, else None.
 
-    dni_wm2 : as the file states it [n]; altitude : of the sun [n] deg. The strongest light over the
+    dni_wm2: as the file states it [n]; altitude: of the sun [n] deg. The strongest light over the
     sine of the altitude is compared at low and high suns, and with the clear sky of a haze that
     gives the same level at high suns. None too for a year without bright direct light, and where
     low suns are hidden.
@@ -245,7 +245,7 @@ def _horizontal_beam(dni_wm2: Floats, altitude: Floats) -> tuple[str, str, str] 
 def _check_labels(path: Path, weather: Weather, station: _Sun, place: Site) -> str:
     """Return a text about hours that contradict sunrise and sunset, "" if there are few.
 
-    station : the sun of the file's hours; place : for the texts. Raises InputError with the likely
+    station: the sun of the file's hours; place: for the texts. Raises InputError with the likely
     cause if there are many, or if a cause explains them: labels or a zone that are off, cells of
     missing hours with zeros, a column with light at midnight, or another place.
     """
@@ -290,7 +290,7 @@ def _check_summer_time(path: Path, weather: Weather, light: Floats, station: _Su
     """Raise InputError if the file's clock follows summer time.
 
     Then summer and winter agree with sunrise and sunset only after shifts that are an hour apart.
-    light : DNI + DHI of each hour [n] W/m2; station : the sun of these hours.
+    light: DNI + DHI of each hour [n] W/m2; station: the sun of these hours.
     """
     months = np.array([t.month for t in weather.t_utc])
     in_summer, in_winter = (  # contradictions by shift in minutes
@@ -340,7 +340,7 @@ def _place_error(path: Path, found: str) -> InputError:
 def check_hourly(path: Path, times: Sequence[datetime]) -> None:
     """Raise InputError if the median or the shortest time between rows is not one hour.
 
-    Other stages count rows as hours. times : of the rows, in order. Fewer than three rows are not
+    Other stages count rows as hours. times: of the rows, in order. Fewer than three rows are not
     checked.
     """
     steps = np.diff([t.timestamp() for t in times]) / 60.0
@@ -355,7 +355,7 @@ def _against(
 ) -> int:
     """Return how many hours among `rows` contradict sunrise or sunset after a shift of labels.
 
-    light : DNI + DHI of all hours [n] W/m2; station : the sun of these hours; shift_min : added to
+    light: DNI + DHI of all hours [n] W/m2; station: the sun of these hours; shift_min: added to
     their times.
     """
     ends = (station.altitude_deg(shift_min + half)[rows] for half in (-30.0, 30.0))
@@ -365,7 +365,7 @@ def _against(
 def contradictions(light: Floats, before_deg: Floats, after_deg: Floats) -> int:
     """Return how many of n spans of time have light at night, or none by day.
 
-    light : mean DNI + DHI of each span [n] W/m2; before_deg, after_deg : the sun's altitude at its
+    light: mean DNI + DHI of each span [n] W/m2; before_deg, after_deg: the sun's altitude at its
     two ends [n]. Night is below -0.5 deg at both ends, and light there is over 3 W/m2; day is above
     1.5 deg at both, and no light is under 1 W/m2. The limits are on both sides of sunrise (-0.8
     deg), and above the rounding of files.

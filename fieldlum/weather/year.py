@@ -24,10 +24,9 @@ _LIGHT = ("ghi_wm2", "dhi_wm2", "dni_wm2")
 class Weather:
     """Hours of irradiance in time order; t_utc is the middle of each hour. Arrays [n] in W/m2.
 
-    name : of file and station; site : the place for which it is used. repairs : one sentence for
-    each thing that was changed, left out or is doubtful. typical : the hours are one year without a
-    date of its own, so that a moment of any year can be looked up. synthetic : computed, not from a
-    file.
+    name: of file and station; site: the place for which it is used. repairs: one sentence for each
+    thing that was changed, left out or is doubtful. typical: the hours are one year without a date
+    of its own, so that a moment of any year can be looked up. synthetic: computed, not from a file.
     """
 
     name: str
@@ -86,7 +85,7 @@ class Weather:
 def synthetic_weather(site: Site, seed: int = 1) -> Weather:
     """Return a plausible year for a place without a weather file, not one to judge the place by.
 
-    seed : of the random draws. It is the clear sky of pvlib times a random cloudiness: an hourly
+    seed: of the random draws. It is the clear sky of pvlib times a random cloudiness: an hourly
     AR(1) series (correlation 0.85) around a slower daily one (0.6), mapped to a share of the beam
     and to a factor on the diffuse (thin clouds double it, thick ones halve it). All coefficients
     are chosen so that the hours look like weather; not fitted to measurements.

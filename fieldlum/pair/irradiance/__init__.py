@@ -79,7 +79,7 @@ class Series:
 
 
 def poll_period_s(t_unix_s: Floats) -> float:
-    """Return the median time between two rows [s]; t_unix_s : [n]."""
+    """Return the median time between two rows [s]; t_unix_s: [n]."""
     return float(np.median(np.diff(t_unix_s))) if len(t_unix_s) > 1 else 60.0
 
 

@@ -82,9 +82,9 @@ class SkyGrid:
 class SkyPicture:
     """The luminance of one capture in the directions that can be sky.
 
-    luminance_cdm2 [h, w] : NaN where no lens saw, or where merge omitted pixels as too dark for
-    sky. clipped [h, w] : True where the luminance is a lower bound. dark_cdm2 : the omitted pixels
-    are darker than this; NaN if none was omitted.
+    luminance_cdm2 [h, w]: NaN where no lens saw, or where merge omitted pixels as too dark for sky.
+    clipped [h, w]: True where the luminance is a lower bound. dark_cdm2: the omitted pixels are
+    darker than this; NaN if none was omitted.
     """
 
     luminance_cdm2: Floats32
