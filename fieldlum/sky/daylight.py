@@ -23,10 +23,11 @@ class Light:
 
     t_utc: times with a zone; dni_wm2, dhi_wm2: direct normal and diffuse horizontal irradiance [n]
     W/m2; sun_altitude_deg, sun_azimuth_deg: the sun without refraction, azimuth clockwise from
-    north [n]; perez: skies from elsewhere (such as a rendering), None to compute them from the
-    irradiance; states: the room's state at each time, as text of `fieldlum.core.room_states`, None
-    for the usual state; refraction: True if pictures show the sun raised by refraction, as a camera
-    does, False if they show it at the true altitude, as some renderings do.
+    north [n]; perez: the n skies from elsewhere (such as a rendering), None to compute them from
+    the irradiance; states: the room's state at each time, such as lamp=on;blind=half
+    (`core.room_states`), "" for the usual one, None for always the usual one; refraction: True if
+    pictures show the sun raised by refraction, as a camera does, False if they show it at the true
+    altitude, as some renderings do.
     """
 
     t_utc: tuple[datetime, ...]
@@ -81,18 +82,22 @@ class Light:
 
     @cached_property
     def apparent_sun_direction(self) -> Floats:
-        """Unit vectors towards the sun in pictures, [n, 3]; for patches, disc and glare."""
+        """Unit vectors towards the sun in pictures, [n, 3], with the axes of `sun_direction`.
+
+        For sun patches, disc and glare.
+        """
         return sun.direction(self.apparent_altitude_deg, self.sun_azimuth_deg)
 
     @cached_property
     def sky_cdm2(self) -> Floats32:
-        """Luminance of the Reinhart sky patches in cd/m2, without the sun, [n, 2305]."""
+        """Luminance of the patches of `reinhart_patches` in cd/m2, without the sun, [n, 2305]."""
         return self.sky_at(reinhart_patches().directions)
 
     def sky_at(self, directions: Floats) -> Floats32:
-        """Return the sky's luminance in directions [m, 3], without the sun, [n, m], in cd/m2.
+        """Return the sky's luminance at n times in m directions, without the sun, [n, m], in cd/m2.
 
-        Below the horizon it is that of open ground.
+        directions: unit vectors, x east, y north, z up [m, 3]. Below the horizon it is the
+        luminance of open ground, after a smooth transition (`perez_luminance`).
         """
         suns = self.sun_direction
         return perez_luminance(self.sky, suns, directions, dtype=np.float32)  # pyright: ignore
@@ -113,8 +118,9 @@ class Light:
     def total_lx(self) -> Floats:
         """Sum of the sky's horizontal illuminance and the sun's normal illuminance, [n], in lx.
 
-        The features of an hour are divided by it. It is at least 0.001 lx. The sun's part is not
-        multiplied by the sine of its altitude, so that it is not small for a low sun.
+        The features of an hour (`Features`) are divided by it. It is at least 0.001 lx (`MIN_LX`).
+        The sun's part is not multiplied by the sine of its altitude, so that it is not small for a
+        low sun.
         """
         return np.maximum(self.diffuse_lx + self.direct_lx, MIN_LX)
 
@@ -122,7 +128,8 @@ class Light:
         """Return the sky's part of the features of n hours (`Features.sky`), [n, 2305].
 
         It is the luminance of each sky patch, `sky_cdm2` [n, 2305], times the root of the patch's
-        solid angle, over the hour's total light: products of two hours are integrals over the sky.
+        solid angle, over the hour's total light (`total_lx`): products of two hours are integrals
+        over the sky.
         """
         root_solid_angle = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
         return sky_cdm2 * root_solid_angle / self.total_lx.astype(np.float32)[:, None]

@@ -54,7 +54,7 @@ def facades_of(room: Room | None) -> Facades:
 
     A wall's weight is the square root of (the sum over its windows of area times transmittance)
     divided by the largest such sum of any wall: 1 for the wall with most glass. Without a box room
-    or windows there are eight facades, one every 45 degrees, of weight 0.25 each.
+    or windows there are eight facades, one every 45 degrees, of weight 0.25 each (chosen).
     """
     if room is None or room.kind != "box" or not room.window:
         return Facades(np.linspace(0.0, 315.0, 8), np.full(8, 0.25))
@@ -76,11 +76,11 @@ class Features:
 
     Total light is `Light.total_lx`. sky [n, 2305]: luminance of each sky patch times the root of
     its solid angle; beam [n]: the sun's normal illuminance, so its share of the total, 0 to 1;
-    direction [n, 3]: unit vector to the true sun; bounced [n, k]: the sun's reflected
-    light in a coarse room model (`Physics.features`), None without one; lamps [n, l]: 1 000 lx
-    over the total light while lamp l is on, else 0, None without lamps; changed [n, m]: 1 while the
-    room is in state m (such as blind=down), which changes its response to daylight, else 0, None
-    without such states.
+    direction [n, 3]: unit vector to the true sun; bounced [n, k]: k features of the sun's reflected
+    light in a coarse room model (`Physics.features`), None without one; lamps [n, l]: for each of l
+    lamps 1 000 lx over the total light while it is on, else 0, None without lamps; changed [n, m]:
+    for each of m states that change the room's response to daylight (such as blind=down) 1 while
+    the room is in it, else 0, None without such states.
     """
 
     sky: Floats32

@@ -22,11 +22,11 @@ def clock_off_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> float | None:
     """Return the offset of the log's clock: logged middle of the light minus solar noon [s].
 
     The middle is half way between the first and the last lit row of a day; the result is the median
-    over the complete days, -43 200 to 43 200 s, or None without one. Days on which the sun does not
-    go 5 degrees above and below the horizon are omitted. A positive value means that logged times
-    are later than the true ones: the clock is fast, or the stated offset from UTC is too small.
-    t_unix_s, ghi_wm2 [n]: logged times and global irradiance, in order of time; rows with NaN
-    irradiance are ignored.
+    over the days of `complete_days`, -43 200 to 43 200 s, or None without one. Days on which the
+    sun does not go 5 degrees above and below the horizon are omitted. A positive value means that
+    logged times are later than the true ones: the clock is fast, or the stated offset from UTC is
+    too small. t_unix_s, ghi_wm2 [n]: logged times and global irradiance, in order of time; rows
+    with NaN irradiance are ignored.
     """
     finite = np.isfinite(ghi_wm2)
     days = complete_days(t_unix_s[finite], ghi_wm2[finite])
@@ -54,7 +54,8 @@ def complete_days(t_unix_s: Floats, ghi_wm2: Floats) -> list[tuple[float, float]
 
     A row is lit above 10 W/m2. Darkness under two hours, as in a storm, does not end a day. Omitted
     are days of less than two hours, and days without a dark row within 15 minutes before the first
-    and after the last lit row. t_unix_s, ghi_wm2: [n] rows in order of time.
+    and after the last lit row. t_unix_s, ghi_wm2: times and global irradiance of the rows [n], in
+    order of time; NaN counts as dark.
     """
     lit = ghi_wm2 > LIT_WM2
     # first and last rows of the lit spells that begin and end within the log
@@ -77,12 +78,13 @@ def complete_days(t_unix_s: Floats, ghi_wm2: Floats) -> list[tuple[float, float]
 
 
 def lit_at_night(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> list[datetime]:
-    """Return the logged minutes (UTC) with over 10 W/m2 while the sun is below -3 degrees.
+    """Return the logged minutes with over 10 W/m2 while the sun is below -3 degrees.
 
-    The sky then gives at most 40 lx, or 0.4 W/m2: the logger's clock, the stated offset from UTC,
-    or the sign of the longitude is wrong. Unlike `clock_off_s` this needs no complete day, but it
-    does not estimate the offset, and can miss one of less than half an hour. t_unix_s, ghi_wm2: [n]
-    rows.
+    Each is the middle of its minute, in UTC. The sky then gives about 40 lx, or 0.4 W/m2: the
+    logger's clock, the stated offset from UTC, or the sign of the longitude is wrong. Unlike
+    `clock_off_s` this needs no complete day, but it does not estimate the offset, and can miss one
+    of less than half an hour. t_unix_s, ghi_wm2: times and global irradiance of the rows [n], in
+    any order.
     """
     minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))
     moments = [datetime.fromtimestamp(60.0 * m + 30.0, UTC) for m in minutes]

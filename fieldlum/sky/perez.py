@@ -40,9 +40,10 @@ _DIFFUSE_EFFICACY, _DIRECT_EFFICACY = _TABLES[40:].reshape(2, 8, 4)
 
 @dataclass(frozen=True, slots=True)
 class SkyPatches:
-    """The division of the sky into patches, without the ground.
+    """The division of the sky into P patches, without the ground.
 
-    directions [P, 3]: of the patches' middles; solid_angles_sr [P]: with the sum 2 pi.
+    directions [P, 3]: unit vectors to the patches' middles, x east, y north, z up; solid_angles_sr
+    [P]: with the sum 2 pi.
     """
 
     directions: Floats
@@ -67,7 +68,8 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
 
     mf: number of rows and columns into which each Tregenza patch is divided. The order is that of
     Radiance's reinhartb.cal and rskysrc.cal: patch 0 is centred on north at the horizon, azimuth
-    increases clockwise, and rows follow upwards. The ground is not a patch.
+    increases clockwise, and rows follow upwards. The ground is not a patch. The arrays are
+    read-only, because results are cached.
     """
     counts = np.array(patches_per_row(mf))
     height = np.pi / 2 / (7 * mf + 0.5)  # rad; the zenith's patch has half a row
@@ -83,7 +85,7 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
 
 
 def reinhart_index(directions: Array) -> NDArray[np.intp]:
-    """Return the index of the patch of `reinhart_patches` that contains each direction, [n].
+    """Return the index of the patch of `reinhart_patches()` that contains each direction, [n].
 
     directions: unit vectors [n, 3], x east, y north, z up; those below the horizon count as on it.
     """
@@ -105,9 +107,9 @@ class PerezSky:
     """The skies at n times: arrays [n], and shape [n, 5].
 
     norm_cdm2: factor on Perez's relative luminance, 179 times perezlum's A1; ground_cdm2: luminance
-    of open ground with reflectance 0.2, in the sun, 179 times its A2; shape: Perez's coefficients
-    a, b, c, d, e, its A3 to A7; clearness: Perez's epsilon. direct_lx: the sun's illuminance on a
-    plane normal to it; diffuse_lx: the sky's on the horizontal.
+    of open ground with reflectance 0.2, in the sun, 179 times perezlum's A2; shape: Perez's
+    coefficients a, b, c, d, e, perezlum's A3 to A7; clearness: Perez's epsilon. direct_lx: the
+    sun's illuminance on a plane normal to it; diffuse_lx: the sky's on the horizontal.
     """
 
     norm_cdm2: Floats
@@ -267,7 +269,8 @@ def perez_luminance(
     """Return the luminance of n skies in m directions, [n, m], in cd/m2, without the sun disc.
 
     It is 179 times Radiance's perezlum. Below the horizon it is that of open ground, after a smooth
-    transition. sun_direction [n, 3] and directions [m, 3] are unit vectors. dtype: of the result.
+    transition. sun_direction [n, 3], to the true sun (without refraction), and directions [m, 3]
+    are unit vectors, x east, y north, z up. dtype: of the arithmetic and the result.
     """
     sun = np.atleast_2d(np.asarray(sun_direction, dtype))
     rays = np.atleast_2d(np.asarray(directions, dtype))

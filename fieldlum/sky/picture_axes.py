@@ -33,7 +33,11 @@ _SURE_DISCS = 2  # that support an explanation until it is certain; chosen
 
 @dataclass(frozen=True, slots=True)
 class WrongAxes:
-    """What is wrong with the axes of pictures, and what to do; sure: no mirror explains it."""
+    """What is wrong with the axes of pictures, and what to do.
+
+    found: what is wrong, remedy: what to do, as sentences without a full stop. sure: a single
+    explanation fits, and at least two discs support it that no mirror would show there.
+    """
 
     found: str
     remedy: str
@@ -49,11 +53,12 @@ def sun_elsewhere(
 ) -> tuple[float, float] | None:
     """Return altitude and azimuth [deg] of a spot in a map that can only be the sun, or None.
 
-    luminance_cdm2 [H, W]: without a disc at the sun's own place; heading_deg: azimuth of its
-    centre; beam_lx: normal illuminance of the sun; altitude_deg: of the sun. The spot is a disc
-    with `DISC_SHARE` of the beam; or the only clipped area, if it is not larger than the sun's halo
-    and near `altitude_deg` (a polished desk shows the sun below the horizon). clipped [H, W]: mask
-    of clipped pixels, None if unknown.
+    The azimuth is clockwise from north, 0 to 360. luminance_cdm2 [H, W]: without a disc at the
+    sun's own place; heading_deg: azimuth of the map's centre; beam_lx: illuminance of the sun on a
+    plane normal to it; altitude_deg: of the sun, apparent. The spot is a disc with `DISC_SHARE` of
+    the beam; or the only clipped area, if it is not larger than the sun's halo and near
+    `altitude_deg` (a polished desk shows the sun below the horizon). clipped [H, W]: mask of
+    clipped pixels, None if unknown.
     """
     disc = find_disc(luminance_cdm2, heading_deg)
     if disc is not None and disc.normal_lx > DISC_SHARE * beam_lx:
@@ -79,12 +84,13 @@ def sun_elsewhere(
 def wrong_axes(
     suns_deg: ArrayLike, shown_deg: ArrayLike, heading_deg: float, rows: int
 ) -> WrongAxes | None:
-    """Return what explains that pictures show discs away from the sun's place; None if none does.
+    """Return what explains discs away from the sun's place; None if each is at its place.
 
     suns_deg [n, 2]: apparent altitude and azimuth of the sun in n captures; shown_deg [n, 2]: those
     of the disc that the picture shows there, or elsewhere (`sun_elsewhere`). heading_deg: stated
     azimuth of the pictures' centre column; rows: their height in pixels. Azimuths are clockwise
-    from north.
+    from north. A disc is at its place within 6 degrees (a compass near steel) or 2.5 pixels. If no
+    explanation fits all captures, `found` reports that.
     """
     shown_altitude, shown_azimuth = np.reshape(np.asarray(shown_deg, float), (-1, 2)).T
     altitude, azimuth = np.reshape(np.asarray(suns_deg, float), (-1, 2)).T
@@ -92,7 +98,11 @@ def wrong_axes(
     within_deg = max(_WITHIN_DEG, 2.5 * 180.0 / rows)  # two pixels and a half; chosen
 
     def explained(altitude_deg: Floats, ahead_deg: Floats) -> Mask:
-        """Return which captures show the disc this far from horizon and centre column, [n]."""
+        """Return which captures show the disc at a place of the picture, [n].
+
+        altitude_deg, ahead_deg: the place's altitude, and its azimuth clockwise from the centre
+        column, [n] each.
+        """
         across = signed_angle_deg(heading_deg + ahead_deg - shown_azimuth)
         across = across * np.cos(np.radians(altitude_deg))
         return np.hypot(altitude_deg - shown_altitude, across) < within_deg

@@ -44,11 +44,12 @@ PIXEL_SIGMA = 1 / np.sqrt(12.0)  # pixels: standard deviation of a place within 
 class SunDisc:
     """The sun disc in a map.
 
-    altitude_deg, azimuth_deg: its measured centre of energy; sigma_deg: standard uncertainty of the
-    centre along each axis, NaN if the map cannot determine it (then the centre is the expected
-    position). normal_lx: illuminance on a plane normal to the sun, in excess of the surroundings; a
-    lower bound if `clipped`. pixels [H, W]: mask of the disc's pixels; surroundings_cdm2: luminance
-    of these pixels without the disc.
+    altitude_deg, azimuth_deg: its measured centre of energy, azimuth clockwise from north in [0,
+    360); sigma_deg: standard uncertainty of the centre along each axis, NaN if the map cannot
+    determine it (then the centre is the expected position). normal_lx: illuminance on a plane
+    normal to the sun, in excess of the surroundings; a lower bound if `clipped`. surroundings_cdm2:
+    luminance of the disc's pixels without the disc. pixels [H, W]: mask of the disc's pixels.
+    clipped: whether the map is clipped at the disc.
     """
 
     altitude_deg: float
@@ -101,14 +102,17 @@ def find_disc(
 ) -> SunDisc | None:
     """Return the sun disc in a map [H, W = 2H]; None if there is no disc.
 
-    luminance_cdm2: the map [H, W]; heading_deg: azimuth of its centre. near_deg: expected apparent
-    altitude and azimuth, clockwise from north, correct to 3 degrees or 2.5 pixels. Without it the
-    map's brightest spot is examined, which must not be brighter than the sun can be. clipped [H,
-    W]: pixels whose luminance is a lower bound. dni_wm2: direct irradiance, None if unknown.
+    luminance_cdm2: the map [H, W]; heading_deg: azimuth of the map's centre. near_deg: expected
+    apparent altitude and azimuth, clockwise from north, correct to 3 degrees or 2.5 pixels. Without
+    it the map's brightest spot is examined, which must not be brighter than the sun can be. clipped
+    [H, W]: pixels whose luminance is a lower bound. dni_wm2: direct normal irradiance, None if
+    unknown.
 
-    A disc is a compact spot. Its brightest pixel exceeds any surface or sky and three times its
-    surroundings, and its energy is that of a disc of 1e6 cd/m2 or more. If pixels near `near_deg`
-    are clipped, only positions count: a compact clipped spot, or clipping at `near_deg`.
+    A disc is a compact spot. Its brightest pixel exceeds any surface or sky
+    (`brightest_surface_cdm2`; without DNI 1e5 cd/m2) and three times its surroundings, and its
+    energy is that of a disc of 1e6 cd/m2 (chosen) or more, with DNI at least 2 % of the sun's. If
+    pixels near `near_deg` are clipped, only positions count: a compact clipped spot, or clipping at
+    `near_deg`.
     """
     light = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
     height, width = light.shape
@@ -134,8 +138,9 @@ def find_disc(
 def brightest_surface_cdm2(dni_wm2: float) -> float:
     """Return the luminance [cd/m2] that surfaces and the sky away from the sun never exceed.
 
-    dni_wm2: direct normal irradiance. It is three times the luminance of a white surface in that
-    sun, which only clouds near the sun approach, but at least that of a bright overcast sky.
+    dni_wm2: direct normal irradiance. The result is three times the luminance of a white surface
+    that faces that sun (93 lm/W), which only clouds near the sun approach, but at least 20 000
+    cd/m2, a bright overcast sky. Both limits are chosen.
     """
     return max(3.0 * _LUMENS_PER_WATT * dni_wm2 / np.pi, _BRIGHTEST_SKY_CDM2)
 
@@ -151,7 +156,8 @@ def add_disc(
     """Return maps [n, H, W] with each disc's energy added to the pixel of the sun.
 
     luminance_cdm2 [n, H, W]: without discs; disc_lx [n]: illuminance on a plane normal to the sun;
-    light: its apparent sun positions count; heading_deg: azimuth of the maps' centre.
+    light: of n hours, with the apparent positions of the sun; heading_deg: azimuth of the maps'
+    centre, clockwise from north.
     """
     place = (light.apparent_altitude_deg, light.sun_azimuth_deg)
     return add_source(luminance_cdm2, place, disc_lx, heading_deg)

@@ -122,9 +122,9 @@ def sky_view_of(
 
     Captures with snow are not used, unless all captures by daylight have it. Without a capture of
     the usual state, the most frequent state is the main view. discs: those that merge measured;
-    heading_deg: stated azimuth of the pictures' centre column; seen: returns a mask [p] of the
-    directions [p, 3] that a lens saw. Raises NotEnoughDataError without a capture by daylight,
-    which is over 1 000 lx of diffuse light.
+    heading_deg: stated azimuth of the pictures' centre column, clockwise from north; seen: returns
+    a mask [p] of the directions [p, 3] that a lens saw. Raises NotEnoughDataError without a capture
+    by daylight, which is over 1 000 lx of diffuse light.
     """
     states = captured.light.states or ("",) * len(captured.light)
     lit = np.flatnonzero(captured.light.diffuse_lx > BEAM_LX).tolist()

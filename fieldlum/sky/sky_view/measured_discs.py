@@ -82,11 +82,11 @@ _SKY_TURN_DEG_PER_MIN = 0.25
 class PoseFit:
     """What measured sun discs determine: values [5] and covariance [5, 5] in the order of `NAMES`.
 
-    heading_deg: correction to add to the stated heading. tilt_deg: how far the view axis points up;
-    roll_deg: how far the picture's right-hand side is low. lens_scale: true over stated angle from
-    the lens's axis, minus 1. clock_min: recorded time less true time. rms_deg: distance of measured
-    from computed discs without gross errors. dropped: indices from 0 of the discs that are gross
-    errors.
+    heading_deg: correction to add to the stated heading, clockwise. tilt_deg: how far the view axis
+    points up; roll_deg: how far the picture's right-hand side is low. lens_scale: true over stated
+    angle from the lens's axis, minus 1. clock_min: recorded time less true time [min]. rms_deg:
+    distance of measured from computed discs without gross errors. dropped: indices from 0 of the
+    discs that are gross errors.
     """
 
     values: Floats
@@ -100,7 +100,7 @@ class PoseFit:
         return dict(zip(NAMES, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
 
     def __getitem__(self, name: str) -> float:
-        """Return the fitted value of a parameter by its name in `NAMES`."""
+        """Return the fitted value of a parameter by its name in `NAMES`; else ValueError."""
         return float(self.values[NAMES.index(name)])
 
 
@@ -113,10 +113,11 @@ def fit_pose(
 ) -> PoseFit:
     """Fit north, level, lens scale and clock to n measured centres of the sun's disc.
 
-    discs: by the stated heading, level and lens. axis_deg: the stated azimuth of the lens's axis.
-    prior_sd: standard uncertainties [5] before the fit, in the order of `NAMES`; each prior's mean
-    is 0. The sun's position is by NREL SPA. Discs with gross errors (5 sigma) are omitted, if at
-    least four others remain. Raises NotEnoughDataError for fewer than `minimum` discs.
+    discs: by the stated heading, level and lens. axis_deg: the stated azimuth of the lens's axis,
+    clockwise from north. prior_sd: standard uncertainties [5] before the fit, in the order of
+    `NAMES`; each prior's mean is 0. The sun's position is by NREL SPA. Discs with gross errors (5
+    sigma) are omitted, if at least four others remain. Raises NotEnoughDataError for fewer than
+    `minimum` discs.
     """
     from scipy.optimize import least_squares
 
@@ -161,8 +162,9 @@ def fit_pose(
 def scaled(directions: Floats, scale: float, axis_deg: float) -> Floats:
     """Return directions [n, 3] with their angle from the axis times (1 + scale).
 
-    axis_deg: azimuth of the lens's axis; the angle of directions behind the camera is that from the
-    axis of a second lens, which faces backwards.
+    directions: unit vectors, x east, y north, z up; axis_deg: azimuth of the lens's axis, clockwise
+    from north, which is horizontal; the angle of directions behind the camera is that from the axis
+    of a second lens, which faces backwards.
     """
     azimuth = np.radians(axis_deg)
     ahead = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])

@@ -55,13 +55,17 @@ class SkyGrid:
         return left_deg + (np.arange(self.width) + 0.5) * self.step_deg
 
     def rays(self, rows: slice = slice(None)) -> Floats:
-        """Return the unit vector to each pixel's centre, of some rows, [rows, width, 3]."""
+        """Return the unit vector to each pixel's centre, of some rows, [rows, width, 3].
+
+        The vectors have x east, y north, z up.
+        """
         return direction(self.altitudes_deg[rows, None], self.azimuths_deg[None, :])
 
     def pixels(self, towards: ArrayLike) -> tuple[Floats, Floats]:
         """Return the continuous (row, column) of unit vectors [..., 3], [...] each.
 
-        Pixel (i, j) covers [i, i + 1) x [j, j + 1). Columns wrap into [0, 360 / step_deg).
+        Pixel (i, j) covers [i, i + 1) x [j, j + 1). Columns wrap into [0, 360 / step_deg). The
+        vectors have x east, y north, z up.
         """
         altitude, azimuth = altitude_azimuth_deg(np.asarray(towards, float))
         row = (self.first_altitude_deg - altitude) / self.step_deg
@@ -94,7 +98,10 @@ class SkyPicture:
 
 
 def write_sky_picture(path: Path, picture: SkyPicture) -> None:
-    """Write a picture as .npz: log10 of luminance in codes of 16 bits, in steps of 0.04 %."""
+    """Write a picture as .npz: log10 of luminance in codes of 16 bits, in steps of 0.04 %.
+
+    Luminances are limited to 0.01 to 1e10 cd/m2. The file appears complete or not at all.
+    """
     minimum, maximum = _LOG10_RANGE
     light = np.asarray(picture.luminance_cdm2, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -132,7 +139,10 @@ def read_sky_picture(path: Path) -> SkyPicture:
 
 
 def cut_panorama(panorama: Panorama) -> SkyPicture:
-    """Return the rows of a panorama that can be sky, at the panorama's own size."""
+    """Return the rows of a panorama that can be sky, at the panorama's own size.
+
+    They go from the zenith to 2 degrees below the horizon (`LOWEST_ALTITUDE_DEG`).
+    """
     height, width = panorama.luminance_cdm2.shape
     step_deg = 180.0 / height
     rows = min(height, int(np.ceil((90.0 - LOWEST_ALTITUDE_DEG) / step_deg)))

@@ -42,8 +42,8 @@ class CameraPose:
 
     heading_deg, tilt_deg, roll_deg: angles of `projection.rotation`, 0 for the stated pose;
     lens_scale: true over stated angle from the lens's axis, minus 1. covariance [4, 4]: of these
-    four in this order. axis_deg: stated azimuth of the lens's axis. discs: number of sun discs that
-    determine it. notes: sentences for the user.
+    four in this order. axis_deg: stated azimuth of the lens's axis, clockwise from north. discs:
+    number of sun discs that determine it. notes: sentences for the user.
     """
 
     heading_deg: float = 0.0
@@ -64,17 +64,20 @@ class CameraPose:
 
     @property
     def heading_sd_deg(self) -> float:
-        """Standard uncertainty of the heading."""
+        """Standard uncertainty of the heading [deg]."""
         return float(np.sqrt(self.covariance[0][0]))
 
     @classmethod
     def from_table(cls, table: JsonTable) -> CameraPose:
-        """Return the pose in a JSON object. Raises TypeError or KeyError for other fields."""
+        """Return the pose in a JSON object.
+
+        Raises TypeError, KeyError or ValueError for other fields or values.
+        """
         covariance = tuple(tuple(map(float, row)) for row in table["covariance"])
         return cls(**{**table, "covariance": covariance, "notes": tuple(table["notes"])})
 
     def drawn(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return random draws of `values`, by their covariance, [count, 4]."""
+        """Return `count` random draws of `values`, by their covariance, [count, 4]."""
         covariance = np.asarray(self.covariance, float)
         return rng.multivariate_normal(self.values, covariance, count, method="eigh")
 
@@ -161,8 +164,8 @@ class CameraPose:
 def pose_of_discs(discs: MeasuredDiscs, site: Site, axis_deg: float) -> CameraPose:
     """Return the pose that agrees best with the measured discs and the stated pose.
 
-    axis_deg: stated azimuth of the lens's axis. The result is the stated pose if there is no disc,
-    or if there are only one or two and these contradict it.
+    axis_deg: stated azimuth of the lens's axis, clockwise from north. The result is the stated pose
+    if there is no disc, or if there are only one or two and these contradict it.
     """
     stated = CameraPose(axis_deg=axis_deg)
     if not len(discs):
@@ -203,9 +206,10 @@ def _angles(fit: PoseFit) -> str:
 
 
 def open_combination(covariance: Floats) -> str:
-    """Return a sentence on the least certain combination of heading, tilt and roll; "" if none.
+    """Return a sentence on the least certain combination of heading, tilt and roll; "" if small.
 
-    covariance [4, 4]: of heading, tilt, roll [deg] and lens scale.
+    It is "" if that standard uncertainty is under 0.1 degrees. covariance [4, 4]: of heading, tilt,
+    roll [deg] and lens scale.
     """
     variances, parts = np.linalg.eigh(np.asarray(covariance)[:3, :3])
     sd, part = float(np.sqrt(max(variances[-1], 0.0))), parts[:, -1]

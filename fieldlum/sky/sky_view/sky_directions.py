@@ -158,15 +158,18 @@ def sky_share(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floa
 
 
 def usable_log(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
-    """Return ln of luminance, at least 0.01 cd/m2, [n, p]; NaN near the sun (`away_from_sun`)."""
+    """Return ln of luminance, at least 0.01 cd/m2, [n, p]; NaN near a shining sun.
+
+    The arguments are those of `away_from_sun`.
+    """
     return np.log(np.maximum(away_from_sun(luminance, light, rays), np.float32(0.01)))
 
 
 def away_from_sun(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
     """Return luminance [n, p] with NaN within 10 degrees of a shining sun.
 
-    There are the disc, and brightness that no model has. light: outside at the n captures; rays:
-    directions of the pixels, x east, y north, z up [p, 3].
+    There are the disc, and brightness that no model has. Shining: over 1 000 lx of direct light.
+    light: outside at the n captures; rays: directions of the pixels, x east, y north, z up [p, 3].
     """
     near = light.apparent_sun_direction @ rays.T > np.cos(np.radians(_NEAR_SUN_DEG))
     near &= (light.direct_lx > BEAM_LX)[:, None]
@@ -234,8 +237,9 @@ def _forward(measured: Floats32, light: Light, rays: Floats) -> Floats:
 def sun_in_front(light: Light, rays: Floats) -> Mask:
     """Return whether the sun shines strongly from about the azimuth of directions, [n, p].
 
-    light: at n times; rays: unit vectors, x east, y north, z up [p, 3]. About: within 72 degrees of
-    a low sun; a high one counts only nearer, as it shines on a vertical facade at a grazing angle.
+    light: at n times; rays: unit vectors, x east, y north, z up [p, 3]. Strongly: over 10 000 lx of
+    direct light. About: within 72 degrees of a low sun; a high one counts only nearer, as it shines
+    on a vertical facade at a grazing angle.
     """
     azimuths = rays[:, :2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)[:, None]  # [p, 2]
     in_front = light.sun_direction[:, :2] @ azimuths.T > 0.3

@@ -25,11 +25,12 @@ _NORMAL_MEDIAN = 0.455  # of chi squared with one degree of freedom
 def heading_by_sky(
     luminance: Floats32, light: Light, rays: Floats, axis_deg: float
 ) -> tuple[float, float] | None:
-    """Return the correction to add to the heading and its standard uncertainty, in degrees.
+    """Return the correction to add to the heading, clockwise, and its standard uncertainty [deg].
 
     luminance: of p directions of open sky in n hours [n, p] cd/m2, NaN if unusable; light: of the
-    hours; rays [p, 3]: the directions by the heading to be corrected; axis_deg: azimuth of the
-    lens's axis. None with fewer than five sunny hours that have ten usable directions each.
+    hours; rays [p, 3]: unit vectors (x east, y north, z up) to the directions, by the heading to be
+    corrected; axis_deg: azimuth of the lens's axis, clockwise from north. None with fewer than five
+    sunny hours (over 5 000 lx of direct light) that have ten usable directions each.
     """
     sunny = np.flatnonzero(light.direct_lx > 5.0 * BEAM_LX)
     if len(sunny) < _MIN_HOURS or len(rays) < _MIN_DIRECTIONS:

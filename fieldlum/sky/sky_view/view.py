@@ -61,11 +61,12 @@ class SkyView:
     """The sky as the camera sees it; arrays [h, w] on `grid`, NaN in directions not seen.
 
     openness: share of the direction's solid angle through which the sky is seen, 0 to 1; u: its
-    standard uncertainty; count: captures behind it; transmittance: of the pane for the beam; low,
-    high: 95 % bounds of openness times transmittance. captures: number of captures used; pose: of
-    the pictures; notes: texts for the user; inputs: what the view was computed from. state: blinds
-    and tint, "" for the usual; days: of the year that have captures, if the view holds only within
-    REACH_DAYS of them, else empty; others: views of other states and seasons, on the same grid.
+    standard uncertainty; count: captures that show the direction; transmittance: of the glass in
+    front for the beam; low, high: 95 % bounds of openness times transmittance. captures: number of
+    captures used; pose: of the pictures; notes: texts for the user; inputs: what the view was
+    computed from. state: blinds and tint, "" for the usual; days: of the year that have captures,
+    if the view holds only within REACH_DAYS of them, else empty; others: views of other states and
+    seasons, on the same grid.
     """
 
     grid: SkyGrid
@@ -132,7 +133,10 @@ class SkyView:
         return apart.min(axis=1, initial=REACH_DAYS + 1)
 
     def write(self, path: Path) -> None:
-        """Write the file: an EXR with six float32 channels for this view and each of the others."""
+        """Write the file: an EXR with six float32 channels for this view and each of the others.
+
+        It is complete or not at all; its SHA-256 is written next to it, to NAME.sha256.
+        """
         import OpenEXR
 
         about = {
@@ -164,7 +168,8 @@ class SkyView:
         """Read a view with its other states and seasons from a file that `write` wrote.
 
         Of the header only format and grid are required. Raises InputError for a missing file or
-        other content, such as azimuths from another north, or shares outside 0 to 1.
+        other content, such as azimuths from another north, or shares outside 0 to 1; warns if the
+        file changed since `write`.
         """
         if not path.is_file():
             raise InputError(path, "no such file", _EXPECTED, _REMEDY)
@@ -196,8 +201,9 @@ class SkyView:
     def beam_shares(self, towards: Floats) -> Floats32:
         """Return the share of the beam that arrives from directions: best, low and high, [3, ...].
 
-        towards: unit vectors [..., 3], x east, y north, z up; NaN where nothing was seen. Slats and
-        leaves that are finer than a pixel have their mean.
+        towards: unit vectors [..., 3], x east, y north, z up, as the pictures show them
+        (`CameraPose.in_pictures`). The result is NaN where no lens saw. Slats and leaves that are
+        finer than a pixel have their mean.
         """
         grid, maps = self._sharp
         inside, row, column = grid.indices(towards)
