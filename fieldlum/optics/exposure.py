@@ -39,7 +39,8 @@ def same_exposure(a: Exposure, b: Exposure) -> bool:
 def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:
     """Return the linear signal z (1 at full scale) that 1 cd/m2 causes, by L = k 87 N^2 / (t S) z.
 
-    shutter_s: true time t; f_number: N; iso: S; k: factor of the scale calibration.
+    shutter_s: true time t; f_number: N; iso: S; k: factor of the scale calibration. 87 is hdrgen's
+    constant (`STONITS`).
     """
     return shutter_s * iso / (STONITS * f_number**2 * k)
 
@@ -70,8 +71,8 @@ class PairRatio:
     """The measured exposure ratio of two frames.
 
     long, short: indices of the frames, from 0. log_ratio: ln(true / assumed exposure) of frame
-    `short` minus that of frame `long`; u_log: standard uncertainty of log_ratio; pixels: number of
-    pixels used.
+    `short` minus the same of frame `long`; u_log: standard uncertainty of log_ratio; pixels: number
+    of pixels used.
     """
 
     long: int
@@ -85,9 +86,9 @@ class PairRatio:
 class ShutterLaw:
     """The law of a bracket's shutter times.
 
-    law: "third-stops", "half-stops" or "exact"; decided_by: "profile", "labels" or "frames" ("":
-    not stated); misfit_percent: for each law, the rms difference of the measured exposure ratios
-    from it, in %; empty without measured ratios.
+    law: "third-stops", "half-stops" or "exact" (`true_times_s`); decided_by: "profile", "labels" or
+    "frames" ("": not stated); misfit_percent: for each law, the rms difference of the measured
+    exposure ratios from it, in %; empty without measured ratios.
     """
 
     law: str
@@ -130,8 +131,8 @@ def law_of_labels(nominal_s: ArrayLike, model: str = "") -> ShutterLaw:
 def stated_law(nominal_s: ArrayLike, law: str, model: str) -> ShutterLaw:
     """Return the shutter law that a camera profile states; for "auto" that of the nominal times.
 
-    nominal_s: shutter times of a bracket's frames by EXIF [n], s; law, model: of the profile. The
-    result's `decided_by` is "profile" or "labels".
+    nominal_s: shutter times of a bracket's frames by EXIF [n], s; law: of the profile, one of
+    `LAWS` or "auto"; model: of its camera. The result's `decided_by` is "profile" or "labels".
     """
     return law_of_labels(nominal_s, model) if law == AUTO else ShutterLaw(law, "profile")
 

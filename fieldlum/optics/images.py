@@ -64,11 +64,13 @@ def _max_values(path: Path, large: int, per_byte: int) -> int:
 class RadianceHeader:
     """The content of a picture's header.
 
-    axes, counts: order of the pixels in the file, such as "-Y" and "+X", and their counts.
-    exposure: [3], by which the decoded channels must be divided. chromaticities: x, y of red,
-    green, blue and white, [8]. xyze: whether the pixels are XYZ. views: the picture's own VIEW
-    lines in order; inherited_views: those of its input pictures. heading_deg: of a panorama, else
-    None. pixel_aspect: height over width of a pixel.
+    axes, counts: the two axes in the order of the file, slowest first, such as ("-Y", "+X") for
+    rows from the top and columns from the left, and the numbers of pixels along them. exposure:
+    [3], by which the decoded channels must be divided. chromaticities: x, y of red, green, blue and
+    white, [8]. xyze: whether the pixels are XYZ instead of RGB. views: the picture's own VIEW lines
+    in order; inherited_views: those of its input pictures. heading_deg: azimuth of a panorama's
+    centre, clockwise from north, None if the file states none. pixel_aspect: height over width of a
+    pixel.
     """
 
     axes: tuple[str, str]
@@ -121,8 +123,8 @@ def rgb_to_xyz(chromaticities: Sequence[float]) -> Floats:
     Its second row has the shares of R, G and B in luminance, negative for a primary that is no real
     colour. chromaticities: x, y of red, green, blue and white, [8]. A primary need not be a real
     colour: blue of ACES AP0 has y = -0.077 (SMPTE ST 2065-1), red and blue of CIE XYZ have y = 0.
-    Raises ValueError for values that are not finite, a white with y = 0, and one that is not
-    between the primaries.
+    Raises ValueError for another number of values, values that are not finite, primaries on one
+    line, a white with y = 0, and one that is not between the primaries.
     """
     if len(chromaticities) != 8:
         raise ValueError(f"{len(chromaticities)} numbers in place of 8")
@@ -153,8 +155,9 @@ def radiance_program(name: str) -> str:
 def read_radiance_hdr(path: Path) -> tuple[Panorama, RadianceHeader]:
     """Return a Radiance picture, of a panorama or not, and its header.
 
-    Exposure is undone. rgb is in the file's own primaries, for XYZE in Radiance's; heading_deg is
-    180 (south) without a heading. Raises InputError for any other file, or damaged pixels.
+    Exposure is undone: luminance_cdm2 is in cd/m2, rgb in W/sr/m2, in the file's own primaries, for
+    XYZE in Radiance's; heading_deg is 180 (south) without a heading. Raises InputError for a
+    missing file, any other format, or damaged pixels.
     """
     remedy = "check the path and the permissions of the picture"
     with input_errors(path, "a readable file", remedy, OSError), open_to_read(path) as file:
@@ -315,8 +318,8 @@ def _heading(line: str, path: Path) -> float:
 def encode_rgbe(rgb: Floats) -> NDArray[np.uint8]:
     """Encode RGB with a shared exponent (RGBE): floats [H, W, 3] become bytes [H, W, 4].
 
-    rgb: radiance in W/sr/m2. Mantissas are truncated, because Radiance decodes (mantissa + .5) /
-    256.
+    rgb: radiance in W/sr/m2; NaN and negative values become 0, infinite ones 1e30. Mantissas are
+    truncated, because Radiance decodes (mantissa + .5) / 256.
     """
     import cv2
 
@@ -338,7 +341,8 @@ def write_radiance_hdr(
     """Write cd/m2 [H, W] or radiance RGB [H, W, 3] in W/sr/m2 as a Radiance picture (flat RGBE).
 
     view: view options of Radiance, such as "-vta -vh 180 -vv 180"; a panorama has heading_deg
-    instead; header: further lines.
+    instead, the azimuth of its centre, clockwise from north; header: further lines of the header,
+    without line ends. Raises OSError if the file cannot be written.
     """
     values = np.asarray(pixels)
     height, width = values.shape[:2]
@@ -376,7 +380,7 @@ def write_picture(path: Path, panorama: Panorama, view: str = "") -> None:
     """Write an .exr, or a Radiance .hdr of luminance or colour only, complete or not at all.
 
     view: Radiance's view options, for a picture that is not a panorama. Raises InputError for
-    another suffix.
+    another suffix, OSError if the file cannot be written.
     """
     suffix = path.suffix.lower()
     if suffix not in PICTURE_SUFFIXES:
@@ -471,12 +475,12 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
 
     part: name of the part, layer or stereo view to read; "" for the only one. The luminance is
     channel Y, or R, G and B weighted by the attribute chromaticities (BT.709 without it) times
-    whiteLuminance (1 cd/m2 without it). For files of other programs `Panorama.attributes["note"]`
-    states a missing unit, and other layers. Pixels outside of the data window are flagged as
-    outside the lens.
+    whiteLuminance (1 cd/m2 without it). Without a heading it gets 180 (south). For files of other
+    programs `Panorama.attributes["note"]` states a missing unit, and other layers. Pixels outside
+    of the data window are flagged as outside the lens.
 
-    Raises InputError for a file that is no EXR, is broken, too large, has neither Y nor R, G, B, or
-    has several pictures and `part` does not name one of them.
+    Raises InputError for a file that is no EXR, is missing, broken, too large, has neither Y nor R,
+    G, B, or pixels that are not square, and for several pictures of which `part` names none.
     """
     headers = exr_headers(path)
     number, names, layer_note = _chosen(headers, part, path)
@@ -527,8 +531,10 @@ class _OwnOutput(io.StringIO):
 def opened_exr(path: Path, **how: bool) -> Iterator[Any]:
     """Yield the OpenEXR.File of a path; how: keyword arguments of its constructor.
 
-    Raises ValueError for a file that is no EXR, and with the cause for one that is broken. OpenEXR
-    would print the cause, in the middle of what a command prints.
+    Raises OSError for a file that cannot be opened, ValueError for one that is no EXR, and with the
+    cause for one that is broken. OpenEXR would print the cause, in the middle of what a command
+    prints: while it opens the file, stderr of the process and stdout of this thread are collected,
+    one thread at a time.
     """
     import OpenEXR
 
@@ -553,7 +559,8 @@ _COMPLETE = ("a complete EXR", "copy the file again")
 def exr_headers(path: Path) -> list[dict[str, Any]]:
     """Return the attributes of each part of an .exr, with the names of its channels as `channels`.
 
-    Raises InputError for a file that is no EXR, and for one with too many pixels to be decoded.
+    Raises InputError for a file that is missing, broken or no EXR, and for one with too many pixels
+    to be decoded.
     """
     remedy = "check the path of the picture, and which program wrote it"
     with (

@@ -106,8 +106,9 @@ def gain_e_per_dn(iso: float, profile: CameraProfile) -> float:
 def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, float]:
     """Return the true time [s] of a nominal shutter time [s], and its relative uncertainty.
 
-    The true time is the profile's measured time; without a measured one it is the time by the
-    profile's shutter law plus the sensor's constant exposure offset. shutter_s: the nominal time.
+    The true time is the profile's measured time of a nominal time within 2 %; without a measured
+    one it is the time by the profile's shutter law plus the sensor's constant exposure offset.
+    shutter_s: the nominal time. The uncertainty is that of the measured time, else `prior_u_log`.
     """
     for measured in profile.shutter:
         if abs(measured.nominal_s / shutter_s - 1) < SAME_LABEL:

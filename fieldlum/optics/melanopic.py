@@ -41,8 +41,9 @@ def attribute_text(melanopic_from_rgb: Floats, rgb_to_radiance: Floats, u_rel: f
     """Return the weights of a picture's R, G, B in melanopic luminance, as text for its file.
 
     melanopic_from_rgb [3]: weights of the camera's colours; rgb_to_radiance [3, 3]: matrix from
-    these to the picture's colours; u_rel: relative standard uncertainty under daylight, the last
-    number of the text. `melanopic_ratio` reads it.
+    these to the picture's colours (radiance RGB); u_rel: relative standard uncertainty under
+    daylight, the last number of the text. The four numbers are separated by blanks;
+    `melanopic_ratio` reads them.
     """
     weights = np.asarray(melanopic_from_rgb) @ np.linalg.inv(rgb_to_radiance)
     return " ".join(f"{value:.6g}" for value in (*weights, u_rel))
@@ -51,7 +52,9 @@ def attribute_text(melanopic_from_rgb: Floats, rgb_to_radiance: Floats, u_rel: f
 def melanopic_ratio(panorama: Panorama) -> tuple[Floats32, float] | None:
     """Return melanopic over photopic luminance of each pixel [H, W], and its relative u.
 
-    The uncertainty is that under daylight. None for a picture without calibrated colour.
+    The uncertainty is that under daylight. The ratio is 1 in pixels without light. None for a
+    picture without calibrated colour. Raises ValueError for an attribute that `attribute_text` did
+    not write.
     """
     text = panorama.attributes.get(ATTRIBUTE)
     if text is None or panorama.rgb is None:
@@ -75,12 +78,13 @@ def melanopic_edi(
 ) -> tuple[Floats, Floats]:
     """Return melanopic EDI and its standard uncertainty in d view directions, [d] each, in lx.
 
-    luminance_cdm2: of the pixels, flat [n], without the sun. weights_sr [n, d]: solid angle times
-    cosine. sun: separate from the pixels, with the illuminance sun_ev_lx [d] in each direction.
-    lamps: electric light is on, or off; None if unknown. With it the map's part is `LAMP_RATIO` of
-    that by colour, because the spectra of most LED have a gap at 480 nm. Without calibrated colour
-    the first result is the illuminance, an estimate with the spectrum of D65, and the second is
-    NaN. Errors of all pixels count as equal in sign.
+    panorama: gives the pixels' colours and uncertainties. luminance_cdm2: of its n pixels, row by
+    row [n], without the sun. weights_sr [n, d]: solid angle times cosine. sun: separate from the
+    pixels, with the illuminance sun_ev_lx [d] in each direction. lamps: electric light is on, or
+    off; None if unknown. With it the map's part is `LAMP_RATIO` of that by colour, because the
+    spectra of most LED have a gap at 480 nm. Without calibrated colour the first result is the
+    illuminance, an estimate with the spectrum of D65, and the second is NaN. Errors of all pixels
+    count as equal in sign.
     """
     map_lx = luminance_cdm2 @ weights_sr
     colour = melanopic_ratio(panorama)
@@ -98,6 +102,7 @@ def melanopic_edi(
 def sun_melanopic_ratio(altitude_deg: Floats | float) -> Floats:
     """Return melanopic over photopic illuminance of direct sunlight, without glazing, [...].
 
+    It is 0.94 exp(-0.058 air mass), a fit to SPECTRL2 (Bird and Riordan 1986) within 2 %.
     altitude_deg: apparent [...]; below 0 it counts as 0.
     """
     return np.asarray(_SUN_RATIO * np.exp(-_SUN_RATIO_DECAY * _air_mass(altitude_deg)))
@@ -112,8 +117,9 @@ def _air_mass(altitude_deg: Floats | float) -> Floats:
 def ratio_u_rel(ratio: Floats, u_rel: float, *, lamps: bool | None = None) -> Floats:
     """Return the relative standard uncertainty of melanopic ratios [...], in their shape.
 
-    u_rel: under daylight. lamps: electric light is on, or off; None if unknown. The spectrum of a
-    lamp does not follow from its colour, but few lamps have the colour of a blue sky.
+    u_rel: under daylight. lamps: electric light is on, or off; None if unknown, which counts as on.
+    What lamps add is from 139 lamps of IES TM-30-15 (bench/melanopic.py). The spectrum of a lamp
+    does not follow from its colour, but few lamps have the colour of a blue sky.
     """
     return np.hypot(u_rel, np.interp(ratio, _LAMP_RATIOS, _U_LAMPS) * (lamps is not False))
 
@@ -148,7 +154,8 @@ def daylight_xy(cct_k: ArrayLike) -> tuple[Floats, Floats]:
 def sky_xyz(luminance_cdm2: Floats, clearness: Floats) -> Floats:
     """Return X, Z and Y = 1 of places of the sky, in the order X, Y, Z [..., 3].
 
-    The colours are those of CIE daylight. luminance_cdm2 [...]: of the places; clearness: Perez's
+    The colours are those of CIE daylight, with the colour temperature of Diakite's model
+    (`gendaylit -C`), 4000 to 25 000 K. luminance_cdm2 [...]: of the places; clearness: Perez's
     epsilon, in a shape that broadcasts to [...].
     """
     decades = np.log10(np.maximum(luminance_cdm2, 1.0))
@@ -163,7 +170,8 @@ def sky_xyz(luminance_cdm2: Floats, clearness: Floats) -> Floats:
 def sun_xyz(altitude_deg: Floats) -> Floats:
     """Return X, Z and Y = 1 of direct sunlight, in the order X, Y, Z [..., 3].
 
-    altitude_deg [...]: apparent altitude of the sun.
+    altitude_deg [...]: apparent altitude of the sun. A fit to SPECTRL2 by air mass, within 1.5 %
+    from 1 degree on; lower suns count as 1 degree.
     """
     mass = np.minimum(_air_mass(altitude_deg), _SUN_MAX_MASS)
     x, z = (np.exp(np.polyval(p, mass)) for p in (_SUN_X, _SUN_Z))

@@ -29,8 +29,8 @@ _U_NOT_CALIBRATED = 0.1
 class CameraBody:
     """Name and kind of the camera, the size of its frames [px], and a lens's fixed aperture.
 
-    date: ISO date of the calibration. fixed_f_number: aperture of a lens that writes none to
-    EXIF; 0 if EXIF states it.
+    make, model: as in EXIF, "" if unknown. date: ISO date of the calibration, "" without one. note:
+    for readers. fixed_f_number: aperture of a lens that writes none to EXIF; 0 if EXIF states it.
     """
 
     name: str
@@ -53,13 +53,14 @@ class CameraBody:
 class Sensor:
     """The sensor of a raw camera; four values are those of R, G1, G2, B, in DN.
 
-    cfa: colours of the top left 2 x 2 pixels. black_dn: counts without light. saturation_dn:
-    the plateau in the frames, not the white level in the file. white_dn: counts (black
-    included) at which linear z is 1 by definition; it determines only the unit of scale.k.
-    gain_e_per_dn: at ISO `iso`. linearity: light over counts is 1 + a1 x + a2 x2 + ..., with x
-    the share of white_dn above black; empty if not calibrated. linearity_u_rel: relative
-    standard uncertainty. exposure_offset_s: seconds by which an electronic shutter opens longer
-    than stated. bad_px: (column, row) of pixels that are never used.
+    cfa: colours of the top left 2 x 2 pixels. black_dn: counts without light. saturation_dn: the
+    plateau in the frames, not the white level in the file. white_dn: counts (black included) at
+    which linear z is 1 by definition; it determines only the unit of scale.k. gain_e_per_dn:
+    electrons per count at ISO `iso`. read_noise_e: standard deviation of a pixel, in electrons.
+    linearity: light over counts is 1 + a1 x + a2 x2 + ..., with x the share of white_dn above
+    black; empty if not calibrated. linearity_u_rel: relative standard uncertainty of the corrected
+    counts. exposure_offset_s: seconds by which an electronic shutter opens longer than stated.
+    bad_px: (column, row) of pixels that are never used.
     """
 
     cfa: Cfa = "RGGB"
@@ -82,8 +83,8 @@ class Bracket:
     """The exposures that a plan uses by default; shutter times are nominal.
 
     nd_shutter_s: times of the frames through a filter, for plans that name one; nd: names of
-    filters with such times. seconds_per_frame, megabytes_per_frame: for the duration of a bracket
-    and the size of its files.
+    filters with such times. f_number, iso: of all frames. seconds_per_frame, megabytes_per_frame:
+    for the duration of a bracket and the size of its files.
     """
 
     f_number: Positive
@@ -131,9 +132,9 @@ class Lens(LensGeometry):
 class Response:
     """The response of a JPEG camera, from codes to linear z in [0, 1].
 
-    red, green, blue: for a polynomial the coefficients, c_0 first, of code / 255; for a table
-    256 values of z. Codes outside low_code ... high_code have no weight. u_rel: relative
-    standard uncertainty.
+    red, green, blue: for a polynomial the coefficients, c_0 first, of code / 255; for a table 256
+    values of z; else empty. Codes outside low_code ... high_code have no weight. u_rel: relative
+    standard uncertainty of z.
     """
 
     kind: Literal["linear", "srgb", "polynomial", "table"] = "linear"
@@ -149,10 +150,10 @@ class Response:
 class Colour:
     """Luminance from linear camera R, G, B: Y = y_from_rgb . RGB.
 
-    rgb_to_radiance: matrix of 9 values, row by row; if empty, no colour is written, only Y.
-    melanopic_from_rgb: weights of R, G, B in melanopic luminance; if empty, melanopic EDI is an
-    estimate. melanopic_u_rel: relative standard uncertainty of melanopic over photopic light under
-    daylight.
+    u_rel: relative standard uncertainty of Y. rgb_to_radiance: matrix to Radiance's R, G, B of 9
+    values, row by row; if empty, no colour is written, only Y. melanopic_from_rgb: weights of R, G,
+    B in melanopic luminance; if empty, melanopic EDI is an estimate. melanopic_u_rel: relative
+    standard uncertainty of melanopic over photopic light under daylight.
     """
 
     y_from_rgb: tuple[float, float, float] = (0.265, 0.670, 0.065)
@@ -180,7 +181,8 @@ class StrayLight:
     """Stray light of the lenses: the kernel K [1/sr] at ascending angles; empty if not calibrated.
 
     K is the share of a direction's light that appears in each steradian at that angle from it
-    (optics/stray_light.py). u_rel is relative to the stray light, not to the luminance.
+    (optics/stray_light.py). angle_deg: above 0 to 180; per_sr: K at each of them. u_rel: standard
+    uncertainty relative to the stray light, not to the luminance.
     """
 
     angle_deg: tuple[float, ...] = ()
@@ -192,7 +194,8 @@ class StrayLight:
 class NeutralDensity:
     """A neutral-density filter: its name, its factor by colour, and the relative uncertainty.
 
-    factor_rgb: luminance without the filter over luminance with it, for red, green and blue.
+    factor_rgb: luminance without the filter over luminance with it, for red, green and blue. u_rel:
+    relative standard uncertainty of the factors.
     """
 
     name: str
@@ -217,9 +220,10 @@ class Provenance:
 class CameraProfile:
     """A camera profile: everything between sensor counts and cd/m2, with its uncertainty.
 
-    glare_floor_rel: veiling glare of the lens, as a share of the mean luminance; 0 once [stray]
-    is calibrated. expires: ISO date after which doctor reports a failure, or "". shutter_law:
-    how nominal times without a measured time are converted (optics/exposure.py).
+    shutter: measured shutter times; nd: filters; glare_floor_rel: veiling glare of the lens, as a
+    share of the picture's mean luminance; 0 once [stray] is calibrated. expires: ISO date after
+    which doctor reports a failure, or "". shutter_law: how nominal times without a measured time
+    are converted (optics/exposure.py).
     """
 
     camera: CameraBody
@@ -250,6 +254,7 @@ def check_profile(profile: CameraProfile, where: str) -> None:
     """
 
     def wrong(finding: str, expected: str, remedy: str = "") -> InputError:
+        """Return the error for a value; remedy: "" for correcting the value."""
         return InputError(where, finding, expected, remedy or "correct this value in the profile")
 
     fit_again = "fit it again: fieldlum calibrate lens"
@@ -381,8 +386,9 @@ def uncalibrated_text(profile: CameraProfile) -> str:
 def find_camera_profile(name: str) -> Path:
     """Return the path of a profile: `name` as a path, or else a file that is shipped.
 
-    A shipped name may omit .toml; "" means sim-dual-fisheye. Raises InputError, with the shipped
-    names, if no file fits.
+    A relative path is from the current folder. Of a path without a file, the last part is looked up
+    among the shipped names, which may omit .toml; "" means sim-dual-fisheye. Raises InputError,
+    with the shipped names, if no file fits.
     """
     path, folder = Path(name or DEFAULT_CAMERA), shipped("calibration")
     for candidate in (path, folder / path.name, folder / f"{path.name}.toml"):
@@ -406,7 +412,10 @@ def load_camera_profile(name: str | Path) -> CameraProfile:
 
 
 def save_profile(path: Path, profile: CameraProfile) -> None:
-    """Write a profile as TOML, over an existing file; the file appears complete or not at all."""
+    """Write a profile as TOML, over an existing file; the file appears complete or not at all.
+
+    Raises OSError if it cannot be written.
+    """
     import tomli_w
 
     write_file(path, tomli_w.dumps(plain(profile)))

@@ -90,7 +90,7 @@ def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:
 def altitude_azimuth_deg(rays: Array) -> tuple[Floats, Floats]:
     """Return altitude and azimuth of unit vectors [..., 3], the inverse of `direction`, [...] each.
 
-    The azimuth is in [-180, 180] deg.
+    rays: x east, y north, z up. The azimuth is clockwise from north, in [-180, 180] deg.
     """
     altitude = np.degrees(np.arcsin(np.clip(rays[..., 2], -1.0, 1.0)))
     return altitude, np.degrees(np.arctan2(rays[..., 0], rays[..., 1]))
@@ -113,8 +113,8 @@ def equirect_pixel(
     """Return the continuous (row, column) of directions in a panorama, [...] each.
 
     altitude_deg, azimuth_deg: of the directions [...]; height, width: in pixels; heading_deg:
-    azimuth of the middle. Pixel (i, j) covers [i, i + 1) x [j, j + 1); row 0 is the zenith, column
-    W / 2 the heading. Columns wrap into [0, W).
+    azimuth of the middle. Azimuths are clockwise from north. Pixel (i, j) covers [i, i + 1) x [j, j
+    + 1); row 0 is the zenith, column W / 2 the heading. Columns wrap into [0, W).
     """
     row = (90.0 - np.asarray(altitude_deg, float)) / 180.0 * height
     turn = (np.asarray(azimuth_deg, float) - heading_deg) / 360.0 + 0.5
@@ -125,7 +125,10 @@ _COMPASS = tuple("N NNE NE ENE E ESE SE SSE S SSW SW WSW W WNW NW NNW".split()) 
 
 
 def compass_name(azimuth_deg: float) -> str:
-    """Return the nearest of the sixteen points of the compass, such as NNE, of any azimuth."""
+    """Return the nearest of the sixteen points of the compass, such as NNE, of any azimuth.
+
+    azimuth_deg: clockwise from north.
+    """
     return _COMPASS[round(azimuth_deg / 22.5) % 16]
 
 
@@ -163,13 +166,16 @@ Mapping = Literal["equidistant", "equisolid", "polynomial"]
 class LensGeometry:
     """The mapping and pose of a lens on a sensor.
 
-    centre_px: x right, y down, (0, 0) the sensor's top left corner. coefficients: of the polynomial
-    r / radius_px = sum c_k (angle / half angle)^(k + 1). azimuth_deg: clockwise from the panorama's
-    heading; tilt_deg: up; roll_deg: clockwise seen from behind the camera.
+    centre_px: of the image circle, x right, y down, (0, 0) the sensor's top left corner; radius_px:
+    of the image circle at half of full_angle_deg. mapping: distance from the centre proportional to
+    the angle a from the axis (equidistant), to sin(a / 2) (equisolid), or a polynomial of a.
+    coefficients: of the polynomial r / radius_px = sum c_k (angle / half angle)^(k + 1).
+    azimuth_deg: of the optical axis, clockwise from the panorama's heading; tilt_deg: of the axis
+    above the horizon; roll_deg: clockwise seen from behind the camera.
     """
 
     centre_px: tuple[float, float]
-    radius_px: Positive  # of the image circle at half of full_angle_deg
+    radius_px: Positive
     full_angle_deg: Annotated[float, Meta(gt=0.0, le=300.0)]
     mapping: Mapping = "equisolid"
     coefficients: tuple[float, ...] = ()
@@ -466,6 +472,7 @@ def _arcs_text(good: Sequence[bool]) -> str:
     if all(good):
         return "every direction"
     starts = [k for k in range(360) if good[k] and not good[k - 1]]
+    # each arc ends, because not all azimuths are marked
     ends = [next(e for e in range(k, 720) if not good[(e + 1) % 360]) % 360 for k in starts]
     named = [[f"{k}° ({compass_name(k)})" for k in arc] for arc in zip(starts, ends, strict=True)]
     return ", ".join(" to ".join(arc) for arc in named) or "no direction"

@@ -69,9 +69,10 @@ def is_jpeg(path: Path) -> bool:
 def frame_files(*sources: Path, deep: bool = False) -> list[Path]:
     """Return the files among paths, and for a folder the raw and JPEG files in it, sorted by path.
 
-    deep: also those in its subfolders, which may be of other brackets. Names that begin with `.` or
-    `@` are omitted: in such folders systems store thumbnails and deleted files. Raises InputError
-    for a folder without frames.
+    deep: also those in its subfolders, which may be of other brackets. A path that is no folder is
+    returned as it is, even if it does not exist. Names that begin with `.` or `@` are omitted: in
+    such folders systems store thumbnails and deleted files. Raises InputError for a folder without
+    frames.
     """
     found: list[Path] = []
     for source in sources:
@@ -162,7 +163,8 @@ def _end_of(page: Any, content: mmap.mmap, path: Path) -> int:
 def open_raw(path: Path) -> Any:
     """Return a raw file as rawpy's object with unpacked pixels, which the caller must close.
 
-    Raises InputError for a file that is damaged, is no raw file, or is not supported by LibRaw.
+    Raises InputError for a file that is damaged, is no raw file, or is not supported by LibRaw, and
+    OSError for one that cannot be opened. While LibRaw reads, stderr of the process is collected.
     """
     import rawpy
 

@@ -97,7 +97,11 @@ def stated_exposure(path: Path) -> tuple[float, float, float]:
 
 
 def read_exposures(path: Path) -> dict[str, tuple[float, float, float]]:
-    """Read shutter time [s], f-number and ISO by file name from a table exposures.csv."""
+    """Read shutter time [s], f-number and ISO by file name from a table exposures.csv.
+
+    Its columns are file, shutter_s (a number or a fraction such as 1/60), f_number and iso. Raises
+    InputError for a missing file or other content.
+    """
     expected = f"the columns {','.join(COLUMNS)}"
     exposures: dict[str, tuple[float, float, float]] = {}
     for line, row in read_table(path, expected, "write one frame a line", needed=COLUMNS).dicts():
