@@ -34,7 +34,7 @@ def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
     The roll is wrong if it changes within the bracket, or differs by over 60 degrees from the
     profile's: a camera on its side gives a rotated map, and no other figure of the merge shows
     that. Cameras with several lenses, lenses tilted by over 45 degrees, and frames without EXIF
-    orientation are not checked.
+    orientation are not checked. Raises InputError for a file that is missing or empty.
     """
     lens = profile.lens[0]
     # Cameras with two fisheyes have no upright position, and the EXIF roll is unreliable when the
@@ -59,7 +59,7 @@ def floating_white_balance(shots: Sequence[Shot], profile: CameraProfile) -> str
 
     With an automatic white balance the colours are unknown. "" too for a profile without weights
     for melanopic light, because nothing uses the colours, and for raw frames, whose counts no white
-    balance changes.
+    balance changes. Raises InputError for a file that is missing or empty.
     """
     if profile.camera.kind == "raw" or not profile.colour.melanopic_from_rgb:
         return ""
@@ -369,7 +369,7 @@ def files_to_picture(
     faces the picture's centre. Exposures come from the EXIF; the sun's disc is not searched for.
     options: None for the defaults. heading_deg: azimuth of the picture's centre, clockwise from
     true north. Raises InputError for a frame that cannot be merged, or if `out` ends neither in
-    .exr nor in .hdr.
+    .exr nor in .hdr, OSError if `out` cannot be written.
     """
     if out.suffix.lower() not in PICTURE_SUFFIXES:  # before the merge, not after it
         raise InputError(out, f"the suffix '{out.suffix}'", ".exr or .hdr", "correct --out")

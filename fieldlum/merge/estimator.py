@@ -22,8 +22,8 @@ from fieldlum.merge.linear_frames import Signal
 class FramePixels(NamedTuple):
     """Some pixels of one frame, at the same places as those of the other frames.
 
-    counts: counts above black, or the linear light of a JPEG; full: mask in the shape of counts,
-    True at saturated pixels and next to them; None if nothing is saturated.
+    signal: the frame; counts: counts above black, or the linear light of a JPEG [...]; full: mask
+    in the shape of counts, True at saturated pixels and next to them; None if nothing is saturated.
     """
 
     signal: Signal
@@ -50,7 +50,8 @@ class Merged(NamedTuple):
     """Merged pixels, in the frames' shape: raw [h / 2, 2, w], JPEG [h, w, 3].
 
     value_cdm2: luminance by one colour of the camera, before vignetting and colour are corrected;
-    variance: variance of value_cdm2 due to noise [(cd/m2)^2]; flags: `Flag` bits.
+    variance: variance of value_cdm2 due to noise [(cd/m2)^2]; flags: `Flag` bits. h, w: rows and
+    columns of the sensor's part that was read.
     """
 
     value_cdm2: Floats32

@@ -103,11 +103,12 @@ class Saturation:
 class RawSignal:
     """A cropped raw frame, shaped [rows / 2, 2, columns] so that each axis-1 row has two colours.
 
-    counts: as in the file; black: the black level [DN]; saturation: counts above black at which
-    a pixel saturates [DN]; per_cdm2: counts above black per cd/m2. Each of the last three is an
-    array [2, columns] if the four colours differ, otherwise a scalar. noise_dn2: variance of read
-    noise and quantisation [DN^2]. through_nd: whether a filter was used. linearity: the profile's
-    coefficients, a polynomial of the counts' share of scale_dn; scale_dn: full scale above black.
+    counts: as in the file; black: the black level [DN]; saturation: counts above black at which a
+    pixel saturates [DN]; per_cdm2: counts above black per cd/m2. Each of the last three is an array
+    [2, columns] if the four colours differ, otherwise a scalar. gain_e_per_dn: electrons per count.
+    noise_dn2: variance of read noise and quantisation [DN^2]. through_nd: whether a filter was
+    used. linearity: the profile's coefficients, a polynomial of the counts' share of scale_dn;
+    scale_dn: full scale above black.
     """
 
     counts: NDArray[np.uint16]
@@ -150,8 +151,9 @@ class RawSignal:
     def strip(self, first: int, last: int) -> tuple[Floats32, Mask | None]:
         """Return counts above black of rows first to last - 1, [rows, 2, w], and a mask.
 
-        The counts are corrected for linearity. The mask [rows, 2, w] is True at saturated pixels
-        and within two pixels of them; None if nothing is saturated.
+        A row is a pair of rows of the sensor, from 0. The counts are corrected for linearity. The
+        mask [rows, 2, w] is True at saturated pixels and within two pixels of them; None if nothing
+        is saturated.
         """
         above = self._linear(self.counts[first:last] - self.black)
         around = self.counts[max(first - 1, 0) : last + 1]
@@ -272,11 +274,11 @@ def load_raw(
 class JpegSignal:
     """A JPEG frame: codes [h, w, 3], and for each colour a table that converts codes to light z.
 
-    z is 1 at full scale; per_cdm2 is z per cd/m2. low_code, high_code: codes between which the
-    response is well known. dark_end: this is the most exposed frame of the bracket, and is used
-    below low_code too. bright_end: this is the least exposed frame, and is used up to code 250.
-    through_nd: whether a filter was used. z_of_code: [256, 3]. per_cdm2: [w, 3]; a scalar or
-    [3] also works, but is slower.
+    z, the linear light, is 1 at full scale; per_cdm2 is z per cd/m2. low_code, high_code: codes
+    between which the response is well known. dark_end: this is the most exposed frame of the
+    bracket, and is used below low_code too. bright_end: this is the least exposed frame, and is
+    used up to code 250. through_nd: whether a filter was used. z_of_code: [256, 3]. per_cdm2: [w,
+    3]; a scalar or [3] also works, but is slower.
     """
 
     codes: NDArray[np.uint8]

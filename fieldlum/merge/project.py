@@ -203,7 +203,7 @@ _LEAK_PX = {"raw": 0.35, "jpeg": 0.20}
 
 @dataclass(frozen=True, slots=True)
 class ProjectedImage:
-    """What the lenses see of the target; arrays [n] over its pixels.
+    """What the lenses see of the target; arrays [n] over its pixels, row by row.
 
     luminance [cd/m2]; rgb [n, 3]: luminance by each colour of the camera. variance: of the
     luminance's random error [(cd/m2)^2]. coverage: share (0 to 1) of the pixel that a lens sees.
@@ -227,8 +227,8 @@ class LensView(ProjectedImage):
     """What one lens sees of the target.
 
     edge [n]: factor on its weight near its edge, 0.01 at the edge, 1 from 0.06 rad inside it.
-    sensor: merged frames of one heading; lens: one of its profile's. stray [n]: stray light that
-    was subtracted [cd/m2]; None if the profile has none.
+    sensor: merged frames of one heading; lens: the lens of the sensor's profile. stray [n]: stray
+    light that was subtracted [cd/m2]; None if the profile has none.
     """
 
     edge: Floats
@@ -289,9 +289,10 @@ def view_through(
 ) -> LensView:
     """Return what one lens sees of the target grid, corrected for vignetting and stray light.
 
-    sensor: merged frames of one heading; lens: one of its profile's. stray: stray light of each
-    target pixel [n]; None to compute it from what the target shows, which must be the lens's
-    complete field. Pixels that the lens does not see have coverage 0.
+    sensor: merged frames of one heading; lens: one of the sensor's profile. stray: stray light of
+    each target pixel [n]; None to compute it from what the target shows, which must be the lens's
+    complete field. Pixels that the lens does not see have coverage 0. Raises InputError if the lens
+    has no vignetting curve for the frames' aperture.
     """
     profile, geometry = sensor.profile, sensor.geometry(lens)
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
@@ -447,6 +448,7 @@ def _shared_percents(view: ProjectedImage, weight: Floats, profile: CameraProfil
     """
 
     def mean(u_rel: Floats) -> float:
+        """Return the mean of relative uncertainties [n], weighted by the light."""
         return float((weight * u_rel).sum() / max(weight.sum(), 1e-12))
 
     shared = {
@@ -470,10 +472,10 @@ def u_of_edges(light: Floats, seen_mask: Mask, target: Target, profile: CameraPr
 
     light: luminance [H, W]; seen_mask [H, W]: True where a lens sees the pixel. Sensor pixels are
     not small. An edge on the border of two target pixels leaks at most a share of the luminance
-    difference: 0.35 (raw) or 0.2 (JPEG) sensor pixels over the target pixel's width.
-    An edge elsewhere leaks less. This is a rectangular distribution (GUM 4.3.7). On a uniform slope
-    gains and losses cancel, so the second difference is used. Next to pixels that no lens sees the
-    leak is unknown and counts as zero.
+    difference: 0.35 (raw) or 0.2 (JPEG) sensor pixels over the target pixel's width. An edge
+    elsewhere leaks less. This is a rectangular distribution (GUM 4.3.7). On a uniform slope gains
+    and losses cancel, so the second difference is used. Next to pixels that no lens sees the leak
+    is unknown and counts as zero.
     """
     width_px = min(footprint_px(lens, target) for lens in profile.lens)
     share = min(_LEAK_PX[profile.camera.kind] / width_px, 0.5) / np.sqrt(3.0)

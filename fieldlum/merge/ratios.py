@@ -59,11 +59,11 @@ def pair_ratio(
     """Return the measured exposure ratio of two frames over the assumed ratio, as a logarithm.
 
     None with under 50 pixels, so that one object does not decide it, or if the measured ratio is
-    not positive. y_long, y_short: linear signals [n], with their variances; assumed_ratio: short
-    over long exposure. short_variance must be the variance of the signal predicted from the long
-    frame (y_long * assumed_ratio), not of the noisy value; long_variance that of y_long. Huber
-    weights at 2.5 sigma reduce the weight of motion and hot pixels. frames: numbers of the long and
-    of the short frame, only copied to the result.
+    not positive. y_long, y_short: linear signals [n] of the same pixels in counts, with their
+    variances [counts^2]; assumed_ratio: short over long exposure. short_variance must be the
+    variance of the signal predicted from the long frame (y_long * assumed_ratio), not of the noisy
+    value; long_variance that of y_long. Huber weights at 2.5 sigma reduce the weight of motion and
+    hot pixels. frames: numbers of the long and of the short frame, only copied to the result.
     """
     if y_long.size < 50:
         return None

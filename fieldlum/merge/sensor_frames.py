@@ -104,6 +104,7 @@ def _steps(
     steps = np.array_split(np.argsort(y_long), int(np.clip(len(at) // 200, 1, 12)))
 
     def variances(step: Indices) -> tuple[float, float, float]:
+        """Return the row of a step; step: indices of its pixels in the arrays above."""
         measured = max(robust_sigma(difference[step]) ** 2 - rounded_dn2, rounded_dn2)
         return float(np.median(shot[step])), float(np.median(read[step])), measured
 
@@ -189,7 +190,8 @@ class SensorImage:
 class Findings:
     """What the frames of one heading showed about exposures, noise, saturation and motion.
 
-    saturation: counts at which the colours saturate, and the black level; noise: factors of
+    shots: the frames, most exposed first, without a filter that was absent; exposures: of these
+    frames. saturation: counts at which the colours saturate, and the black level; noise: factors of
     `noise_factors`. turns: of the camera between frames, only for pairs of frames with enough
     common points. absent: names of frames that were taken without the filter of their label.
     """
@@ -209,7 +211,8 @@ def merge_sensor(
 
     shots: sorted by exposure, longest first. fit: whether exposure ratios are estimated from the
     frames; None: for raw frames only. turn_deg: heading of the camera minus that of the resulting
-    picture, clockwise. Raises InputError for a frame that cannot be read or is of another camera.
+    picture, clockwise. Raises InputError for a frame that cannot be read or is of another camera,
+    and for a filter that the profile does not have.
     """
     crop, is_raw = lens_crop(profile), profile.camera.kind == "raw"
     shots, absent = _without_absent_filters(shots, profile, crop)

@@ -67,7 +67,8 @@ def verified(shots: Sequence[Shot]) -> list[Shot]:
     """Return the frames with the SHA-256 that their files have now.
 
     Each file is read completely for it; the merge that follows then finds it in the system's cache.
-    Raises InputError, which names all such frames, if a content is not the recorded one.
+    Raises InputError, which names all such frames, if a content is not the recorded one, and for a
+    frame that may not be read; OSError for one that is missing.
     """
     current = []
     for shot in shots:
@@ -113,6 +114,7 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     _check_settings(shots, profile)
 
     def order(shot: Shot) -> tuple[float, float, str]:
+        """Return the sort key of a frame: heading, negative exposure behind its filter, name."""
         exposure = shot.exposure
         factor = float(np.mean(nd_factors(exposure.nd, profile)))
         collected = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso) / factor
@@ -157,9 +159,9 @@ def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, Flo
 def exposure_covariance(exposures: Sequence[Exposure], profile: CameraProfile) -> Floats:
     """Return the covariance of the natural log exposures before any fit, [frames, frames].
 
-    Frames with the same shutter time have the same error of time. Frames with the same filter share
-    an error too, and so do frames of one ISO other than the profile's. Each frame also has its own
-    error.
+    The uncertainties are those of the profile, `U_ISO` and `U_REPEAT`. Frames with the same shutter
+    time have the same error of time. Frames with the same filter share an error too, and so do
+    frames of one ISO other than the profile's. Each frame also has its own error.
     """
     u_time = [true_shutter_s(e.shutter_s, profile)[1] for e in exposures]
     u_of_nd = {nd.name: nd.u_rel for nd in profile.nd}

@@ -307,7 +307,8 @@ def run(
     Write quality.csv and the contact sheets if a panorama is new. scheduler: where brackets are
     merged. force: merge slots with such a panorama again. Return one verdict for each captured
     slot, sorted by slot; slots that were not merged again have the state "kept". Raises
-    NotEnoughDataError if nothing was captured, InputError if all brackets failed.
+    NotEnoughDataError if nothing was captured, InputError if all brackets failed or session.toml or
+    the camera profile is invalid, OSError if panoramas/ cannot be written.
     """
     slots = [folder.name for folder in session.captured_folders()]
     if not slots:
@@ -334,8 +335,10 @@ def run(
 def merging(session: Session, options: MergeOptions) -> Iterator[Callable[[str], object]]:
     """Give a function that starts the merge of a captured slot, by name, in another process.
 
-    Capture goes on meanwhile. Merges that have not begun at the end are cancelled: `run` merges
-    those slots, and the ones that failed.
+    Capture goes on meanwhile; how a merge ends is not reported here. The folder panoramas/ is
+    created at the start. Merges that have not begun at the end are cancelled: `run` merges those
+    slots, and the ones that failed. Raises InputError if session.toml or the camera profile is
+    invalid.
     """
     slots = [slot.id for slot in session.slots()]
     units = dict(zip(slots, _units(session, slots, options, False), strict=True))
@@ -360,7 +363,8 @@ def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
     """Write thumbnails of the panoramas to panoramas/contact-1.png and so on.
 
     One thumbnail for each sidecar, 96 on a page; its place stays white if the panorama is missing.
-    False colour by log luminance from 1 to 10 000 cd/m2. Pixels with any flag are grey.
+    False colour by log luminance from 1 to 10 000 cd/m2. Pixels with any flag are grey. Raises
+    InputError for a panorama that cannot be read.
     """
     zone = ZoneInfo(session.site_file().site.timezone)
     for first in range(0, len(sidecars), _PER_PAGE):
@@ -406,7 +410,8 @@ def _thumbnail(path: Path) -> NDArray[np.uint8]:
 def write_summary(session: Session) -> None:
     """Write contact sheets and quality.csv (`QUALITY_COLUMNS`) of all merged brackets.
 
-    quality.csv is written last, because `summary_due` compares its date with the sidecars'.
+    Raises InputError for a panorama that cannot be read. quality.csv, with its SHA-256 next to it,
+    is written last, because `summary_due` compares its date with the sidecars'.
     """
     sidecars = [note for note in readable_sidecars(session.sidecar_files()) if note.report.frames]
     write_contact_sheets(session, sidecars)

@@ -39,7 +39,7 @@ MEASURED = "nd-frames"
 def expected_sun_deg(t_utc: datetime, site: Site) -> tuple[float, float] | None:
     """Return the sun's apparent altitude and its azimuth from true north [deg].
 
-    Return None if the complete disc is below the horizon.
+    Return None if the complete disc is below the horizon. Raises ValueError for a naive time.
     """
     sun = position([t_utc], site)
     altitude, azimuth = float(sun.apparent_altitude_deg[0]), float(sun.azimuth_deg[0])
@@ -51,11 +51,12 @@ def take_out_disc(
 ) -> tuple[Panorama, SunDisc | None]:
     """Return the panorama without the sun's disc, and the disc.
 
-    altitude_deg, azimuth_deg: the sun's apparent direction, near which the disc is searched for.
-    The disc's pixels get the luminance of their surroundings, an uncertainty of 100 % and the flag
-    FILLED. The panorama's `sun` gets the disc's illuminance, with one of three origins: "clipped"
-    (all frames are clipped: a lower bound), "nd-frames" (measured through a filter) or "merge"
-    (measured without a filter). If the disc is not visible, return the panorama unchanged and None.
+    altitude_deg, azimuth_deg: the sun's apparent direction, clockwise from true north, near which
+    the disc is searched for. The disc's pixels get the luminance of their surroundings, an
+    uncertainty of 100 % and the flag FILLED. The panorama's `sun` gets the disc's illuminance, with
+    one of three origins: "clipped" (all frames are clipped: a lower bound), "nd-frames" (measured
+    through a filter) or "merge" (measured without a filter). If the disc is not visible, return the
+    panorama unchanged and None.
     """
     recorded = 0 if panorama.flags is None else panorama.flags
     flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16) | np.asarray(recorded, np.uint16)
@@ -271,8 +272,8 @@ def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:
     """Return a mask [90, 180] of the panorama's tiles in which the sun can be within a year.
 
     A tile is 2 x 2 degrees; row 0 is at the zenith. Tiles that begin at the lowest altitude of a
-    sky picture or below are False. heading_deg: azimuth of the middle, which may be wrong by 5
-    degrees.
+    sky picture or below are False. heading_deg: azimuth of the middle, clockwise from true north,
+    which may be wrong by 5 degrees.
     """
     rows = 180 // _TILE_DEG
     pole = celestial_pole(latitude_deg)
