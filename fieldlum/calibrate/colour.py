@@ -39,11 +39,13 @@ _CHART_XYZ = Path(__file__).with_name("chart_daylight.csv")  # written by bench/
 class Colours:
     """Camera colours and luminances of n readings.
 
-    rgb [n, 3]: linear camera colours, corrected for vignetting, in cd/m2 at the profile's k; y [n]:
-    luminances Y of the same places by a meter [cd/m2], or by the chart [%]; u_rel [n]: relative
-    uncertainty of the comparison; places [n]: where they are; matrix [3, 3]: XYZ to camera colours,
-    None if the frames do not state it. melanopic [n]: melanopic equivalent daylight luminances by a
-    spectrometer [cd/m2], or None. of_chart: the places are a chart's patches.
+    rgb [n, 3]: linear camera colours, corrected for vignetting, converted to cd/m2 by the profile's
+    scale k (`profiles.Scale`). of_chart: whether the places are a chart's patches; it decides the
+    unit of y [n], the luminances Y of the same places: True: by the chart, in % of its white patch;
+    False: by a meter, in cd/m2. u_rel [n]: relative standard uncertainty of comparing rgb with y;
+    places [n]: where they are; matrix [3, 3]: XYZ to camera colours, None if the frames do not
+    state it. melanopic [n]: melanopic equivalent daylight luminances by a spectrometer [cd/m2], or
+    None.
     """
 
     rgb: Floats
@@ -58,10 +60,11 @@ class Colours:
 class ColourFit(NamedTuple):
     """Fitted coefficients from camera colours to luminance, with uncertainty and residuals.
 
-    y_from_rgb: weights of R, G, B in the luminance. scale: luminance of the readings over that by
-    y_from_rgb, a factor on k that y_from_rgb does not contain. residual [n]: luminance by camera,
-    with `scale`, over the reading minus 1, also for omitted readings. u_rel: relative rms of the
-    held-out errors. choice: how the number of coefficients was chosen.
+    y_from_rgb: weights of R, G, B in the luminance. scale: readings over the luminance by
+    y_from_rgb, a factor on k that y_from_rgb does not contain (of a chart in the unit of its y).
+    residual [n]: luminance by camera, with `scale`, over the reading minus 1, also for omitted
+    readings. u_rel: relative rms of the held-out errors. choice: how the number of coefficients was
+    chosen.
     """
 
     y_from_rgb: tuple[float, float, float]
@@ -81,8 +84,10 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     x_px, y_px: place of the reading on the sensor. Optional columns: radius_px of the averaged disc
     (default 12), u_rel of the reading (default 0.02) and melanopic_cdm2, its melanopic equivalent
     daylight luminance, in all rows or none. The profile's vignetting is corrected. A column
-    spectrum with files of a JETI spectrometer replaces both. Raises InputError for an invalid csv,
-    an unreadable frame, or a place that is clipped or outside the picture.
+    spectrum with files of a JETI spectrometer (`read_spectrum`) replaces luminance_cdm2 and
+    melanopic_cdm2. Paths are relative to the csv. Raises InputError for an invalid csv, an
+    unreadable frame or spectrum, an aperture without a vignetting curve, or a place that is clipped
+    or outside the picture.
     """
     extra = [name for name in ("melanopic_cdm2", "spectrum") if name in fit_steps.columns_of(path)]
     light = extra if "spectrum" in extra else ["luminance_cdm2", *extra]
@@ -155,8 +160,10 @@ def from_chart(
     """Read a 24-patch chart in a frame that is lit evenly, by daylight of cct_k.
 
     corners_px: x and y of the outer corners of the field of patches, top left (dark skin), top
-    right, bottom right (black), bottom left; empty if OpenCV searches the chart. Raises InputError
-    if no chart is detected, or if its patches are not in the order of a chart.
+    right, bottom right (black), bottom left; empty if OpenCV searches the chart. cct_k: correlated
+    colour temperature [K]. Raises InputError for an unreadable frame, a patch that is clipped or
+    outside the picture, if no chart is detected, or if its patches are not in the order of a chart;
+    ValueError for a cct_k outside 4000 to 25 000 K.
     """
     frame = fit_steps.linear_frame(path, profile)
     corners = np.reshape(corners_px, (4, 2)) if len(corners_px) else find_chart(frame)
@@ -281,7 +288,8 @@ def xyz_from_chart(rgb: Floats, y_from_rgb: Sequence[float], cct_k: float) -> Fl
 
     rgb: camera colours of the 24 patches [24, 3], in any unit, under CIE daylight of the correlated
     colour temperature cct_k, 4000 to 25 000 K. Y is that of y_from_rgb. The level of each patch is
-    its own luminance by the camera, so that uneven light does no harm.
+    its own luminance by the camera, so that uneven light does no harm. Raises ValueError for
+    another cct_k.
     """
     patches = chart_xyz(cct_k)
     # The greys, patches 19 to 24, have the colour of the daylight itself.
@@ -296,7 +304,8 @@ def chart_xyz(cct_k: float = 6500.0) -> Floats:
     """Return X, Y, Z of a chart's patches under CIE daylight, [24, 3]; the white patch has Y 100.
 
     cct_k: correlated colour temperature of the daylight [K]. Mean reflectances of 30 charts
-    (BabelColor 2012); Y differs by 3 % rms from McCamy 1976.
+    (BabelColor 2012); Y differs by 3 % rms from McCamy 1976. Patches are row by row from dark skin
+    to black. Raises ValueError for a cct_k outside 4000 to 25 000 K.
     """
     table = np.loadtxt(_CHART_XYZ, delimiter=",").reshape(24, 3, 3)  # patch, S0 to S2, XYZ
     patches = daylight_parts(cct_k) @ table
@@ -306,8 +315,8 @@ def chart_xyz(cct_k: float = 6500.0) -> Floats:
 def daylight_parts(cct_k: float) -> Floats:
     """Return the weights of the CIE's components S0, S1 and S2 of daylight, [3].
 
-    cct_k: correlated colour temperature of the daylight [K]. Raises ValueError for one outside 4000
-    to 25 000 K.
+    Formulas: CIE 15. cct_k: correlated colour temperature of the daylight [K]. Raises ValueError
+    for one outside 4000 to 25 000 K.
     """
     if not 4000.0 <= cct_k <= 25_000.0:
         raise ValueError(f"{cct_k:g} K: CIE daylight is defined from 4000 to 25 000 K")
@@ -327,7 +336,7 @@ def xyz_from_matrix(
     whose luminance by the colour matrix is scaled to that by y_from_rgb. cct_k: correlated colour
     temperature of the daylight if `grey` is the colour of a grey surface in it: the channels then
     get the gains that make it grey, as DNG's CameraCalibration does; None for another colour.
-    Raises ValueError if a gain differs from the green one by over a half.
+    Raises ValueError if a gain is over 1.5 times the green one, or under 1 / 1.5 of it.
     """
     inverse = np.linalg.inv(matrix)
     if cct_k is not None:
@@ -351,12 +360,14 @@ def with_melanopic(
 ) -> tuple[Colour, str]:
     """Return the profile's colours with a melanopic weight, and a line on where they are from.
 
-    colour: the profile's table with the fitted y_from_rgb and its u. scale: the scale of that fit.
-    cct_k: correlated colour temperature of the daylight on a chart, or on the grey first reading,
-    None if unknown. clear_glass: the camera's rooms have no grey or bronze glass and no film. X, Y,
-    Z come from the chart, else from the colour matrix in the frames. The weight follows from X, Y,
-    Z, and from readings of a spectrometer if there are any. Without any of these, the table has
-    none.
+    colour: the profile's table with the fitted y_from_rgb and its u. colours: the readings; scale:
+    `ColourFit.scale` of the fit to them. cct_k: correlated colour temperature of the daylight on a
+    chart, or on the grey first reading, None if unknown. clear_glass: the camera's rooms have no
+    grey or bronze glass and no film. X, Y, Z come from the chart, else from the colour matrix in
+    the frames. The weight follows from X, Y, Z, and from readings of a spectrometer if there are
+    any. Without any of these, the table has none. Raises InputError if the grey reading is not grey
+    in that daylight, for cct_k without a chart or a colour matrix, and as `fit` for readings of a
+    spectrometer; ValueError as `chart_xyz`.
     """
     # `origin`: the weights of X, Y, Z and their relative uncertainty, by where the colours are from
     origin, to_xyz = melanopic.BY_MATRIX, rgb_to_xyz(RADIANCE_CHROMATICITIES)
@@ -436,7 +447,7 @@ def patch_centres(corners: Floats) -> tuple[Array, float]:
 
 
 def find_chart(frame: fit_steps.LinearFrame) -> Floats:
-    """Return the corners of the chart that OpenCV detects, x and y [4, 2] px.
+    """Return the corners of the chart that OpenCV detects, x and y [4, 2] sensor px.
 
     Their order is that of the argument of `patch_centres`.
 

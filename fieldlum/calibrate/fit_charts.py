@@ -25,7 +25,11 @@ if TYPE_CHECKING:
 
 
 class Place(NamedTuple):
-    """Where a reading was taken: x_px, y_px on a frame, or azimuth and altitude of a panorama."""
+    """Where a reading was taken, in the picture `path`.
+
+    x, y: of a frame the place on the sensor [px], x right, y down; of a panorama azimuth, clockwise
+    from north, and altitude [deg].
+    """
 
     path: Path
     x: float
@@ -50,7 +54,10 @@ class Chart:
 
 
 def draw(chart: Chart, path: Path) -> None:
-    """Write a chart as PNG, SVG or PDF, by suffix; the file appears complete or not at all."""
+    """Write a chart as PNG, SVG or PDF, by suffix; the file appears complete or not at all.
+
+    Raises InputError if the picture of its places cannot be read, ValueError for another suffix.
+    """
     has_curves, has_places = bool(chart.y[0]), len(chart.places) > 0
     columns = max(2 * has_curves + has_places, 1)
     figure = new_figure(4.2 * columns, 3.4)

@@ -40,8 +40,8 @@ Parameters = TypeVar("Parameters")
 class OrderSelection:
     """The candidate that held-out data chose, and a line for the profile with the reason.
 
-    index: place of the candidate, from 0; rms: its held-out rms; line: lists all candidates, and
-    states why this one was chosen.
+    index: place of the candidate, from 0; rms: its held-out rms, as a share or in the unit of the
+    fit; line: lists all candidates, and states why this one was chosen.
     """
 
     index: int
@@ -249,10 +249,11 @@ def _cell(path: Path, line: int, name: str, text: str, has_commas: bool) -> Any:
 class LinearFrame:
     """A frame as linear camera colours, not corrected for vignetting or for a filter.
 
-    rgb [h, w, 3]: in cd/m2 at the profile's k; bad [h, w]: True for pixels not to use: above 0.97
-    of the saturation, or outside the codes for which a JPEG's response is valid; step: sensor
-    pixels along the edge of a pixel of rgb, 2 for raw and 1 for JPEG; colour_matrix: XYZ to camera
-    colours [3, 3] as stored in a raw file, else None.
+    path: of the frame; exposure: by its EXIF. rgb [h, w, 3]: converted to cd/m2 by the profile's
+    scale k; bad [h, w]: True for pixels not to use: above 0.97 of the saturation, or outside the
+    codes for which a JPEG's response is valid; step: sensor pixels along the edge of a pixel of
+    rgb, 2 for raw and 1 for JPEG; colour_matrix: XYZ to camera colours [3, 3] as stored in a raw
+    file, else None.
     """
 
     path: Path
@@ -369,10 +370,11 @@ def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: flo
 def read_panoramas(
     rows: Sequence[CsvRow], profile: CameraProfile, remedy: str = ""
 ) -> dict[Path, Panorama]:
-    """Return the panoramas that the rows of a table name, by file.
+    """Return the panoramas that the rows of a table name in `panorama`, by file.
 
-    remedy: what else to do when merging again, for the error. Raises InputError for a panorama that
-    was merged with another calibration than the profile's.
+    remedy: what else to do when merging again, for the error. The sun of a panorama is the one that
+    `pair` computed, if any. Raises InputError for a panorama that cannot be read, or was merged
+    with another calibration than the profile's.
     """
     own, pictures = calibration_mark(profile)["calibration"], {}
     for file in dict.fromkeys(row["panorama"] for row in rows):
@@ -390,8 +392,8 @@ def pixels_within(
 ) -> Mask:
     """Return a mask [h, w], True for pixels within `radius_deg` of a direction.
 
-    azimuth_deg: clockwise from north; altitude_deg: above the horizon. The disc is at least a few
-    pixels wide.
+    azimuth_deg: clockwise from north; altitude_deg: above the horizon. The radius is at least 1.2
+    pixels.
     """
     height, width = picture.luminance_cdm2.shape
     rays = equirect_rays(height, width, picture.heading_deg)
@@ -419,7 +421,8 @@ def save_calibration(
     """Write the profile with its fields in `changed` replaced, to the file `out`, and return it.
 
     The profile's provenance gets the sha256 of `frames`, and `lines` (one about each fit), dated
-    `today`; the camera's date becomes `today`.
+    `today`; the camera's date becomes `today`. Raises OSError for a frame that cannot be read, or
+    if `out` cannot be written.
     """
     hashes, before = sorted({sha256(path) for path in frames}), profile.provenance
     provenance = replace(

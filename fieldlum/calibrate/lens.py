@@ -43,7 +43,7 @@ class Targets:
     """Known directions of n targets, and their places on the sensor.
 
     x_px, y_px [n]: x to the right, y down. rays [n, 3]: unit vectors towards the targets, with y in
-    the camera's heading, x to the right, z up. source: file, for errors.
+    the camera's heading, x to the right, z up. source: the file, for errors.
     """
 
     x_px: Array

@@ -193,7 +193,8 @@ class ResponseFit(NamedTuple):
 def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
     """Return the frames of each bracket: a folder is one bracket; all single files are one more.
 
-    Raises InputError for a folder without JPEG frames.
+    Raises InputError for a folder without JPEG frames. A missing path with the suffix of a JPEG is
+    a bracket of its own, which `sample` refuses.
     """
     single = [path for path in paths if path.is_file()]
     brackets = [single] if single else []

@@ -27,7 +27,7 @@ class LuminanceReading(NamedTuple):
     kind: "spot" or "illuminance". label: name of the reading, for messages. meter, image: value by
     the meter and by the picture at the profile's k, in cd/m2 for a spot, else in lx. u_rel:
     relative uncertainty of their ratio, without that of the meter's calibration; u_image: the part
-    of the picture's value. place: in its panorama.
+    of the picture's value. place: in its panorama, None if unknown.
     """
 
     kind: str
@@ -59,12 +59,12 @@ def from_table(
 ) -> tuple[list[LuminanceReading], list[Path], tuple[str, ...]]:
     """Return the readings of a csv, the files of its panoramas, and notes for the user.
 
-    The columns are panorama, azimuth_deg (clockwise from north), altitude_deg, and luminance_cdm2
-    or illuminance_lx; optional is u_rel, the relative uncertainty of a reading (default 0.02). The
-    picture's luminance is the trimmed mean over a disc of 1 degree, its illuminance that on a plane
-    which faces the direction, both converted from the k of the merge to the profile's k. Raises
-    InputError for a line with both or neither reading, a place that is clipped or without light,
-    and pictures of another calibration.
+    The columns are panorama (a path, relative to the csv), azimuth_deg (clockwise from north),
+    altitude_deg, and luminance_cdm2 or illuminance_lx; optional is u_rel, the relative uncertainty
+    of a reading (default 0.02). The picture's luminance is the trimmed mean over a disc of 1
+    degree, its illuminance that on a plane which faces the direction, both converted from the k of
+    the merge to the profile's k. Raises InputError for a line with both or neither reading, a place
+    that is clipped or without light, and pictures of another calibration.
     """
     optional = {"luminance_cdm2": None, "illuminance_lx": None, "u_rel": fit_steps.READING_U}
     rows = fit_steps.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
@@ -218,8 +218,9 @@ def outlier_texts(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list
 def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
     """Return a warning if the fitted k times the sum of y_from_rgb is not 0.5 to 2, else "".
 
-    The products of cameras are in this range. path: the csv of readings, for the error. Raises
-    InputError if k also differs from the profile's k by more than a factor of ten, either way.
+    Cameras have products in this range, whose limits are chosen. path: the csv of readings, for the
+    error. Raises InputError if k also differs from the profile's k by more than a factor of ten,
+    either way.
     """
     level = profile.scale.k * scale_fit.factor * sum(profile.colour.y_from_rgb)
     if 0.5 <= level <= 2.0:

@@ -41,7 +41,7 @@ class ShutterReading(NamedTuple):
     """The measured exposure ratio of two neighbouring frames of a bracket.
 
     pair: nominal times of the longer and of the shorter frame [s]. log_ratio: ln(true / assumed
-    exposure) of the shorter frame minus that of the longer one; u_log: standard uncertainty of
+    exposure) of the shorter frame minus the same of the longer one; u_log: standard uncertainty of
     log_ratio; seconds: time from the longer to the shorter frame, 0 if unknown.
     """
 
@@ -57,9 +57,9 @@ Bracket = Sequence[ShutterReading]
 class TimeRatio(NamedTuple):
     """The measured exposure ratio of one pair of shutter times, over all brackets.
 
-    median: that of log_ratio (see `ShutterReading`); spread: standard deviation of log_ratio over
+    median: median of log_ratio (see `ShutterReading`); spread: standard deviation of log_ratio over
     brackets, without the noise of single readings; error: standard error of the median; brackets:
-    number of readings of the pair; seconds: median time from the longer to the shorter frame.
+    number of readings of the pair; seconds: median time from the longer to the shorter frame [s].
     """
 
     median: float
@@ -120,8 +120,8 @@ def from_session(
 def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfile:
     """Return the profile with the shutter law of the merged brackets if its own is "auto".
 
-    Another law of the profile remains. sidecars: files of the merged brackets. Raises InputError if
-    the law is "auto" and the brackets were merged with several laws.
+    Another law of the profile remains. sidecars: files of the merged brackets. Raises InputError
+    for a damaged sidecar, and if the law is "auto" and the brackets were merged with several laws.
     """
     reports = [Sidecar.read(path).report for path in sidecars]
     laws = sorted({report.shutter_law.law for report in reports if report.shutter_law})

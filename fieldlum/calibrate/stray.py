@@ -36,10 +36,10 @@ NODE_SETS: tuple[tuple[float, ...], ...] = (
 class StrayReading:
     """The stray light at one dark place, and the light that may cause it.
 
-    place: in its panorama. stray_cdm2: recorded minus true luminance of the place. angle_rad [n]:
-    angle from the place to each lit pixel of the same lens's field, and to the sun disc if the
-    field contains it; flux [n]: luminance of that pixel times its solid angle, or the disc's
-    illuminance on a plane normal to it [lx].
+    place: of the dark place in its panorama. stray_cdm2: recorded minus true luminance of the
+    place. angle_rad [n]: angle from the place to each lit pixel of the same lens's field, and to
+    the sun disc if the field contains it; flux [n]: luminance of each pixel times its solid angle
+    [cd/m2 sr], or the disc's illuminance on a plane normal to it [lx].
     """
 
     place: Place
@@ -65,11 +65,12 @@ class StrayFit(NamedTuple):
 def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
     """Return the stray light [cd/m2] at the dark places of a csv, and the light that may cause it.
 
-    Columns: panorama, the path of a picture; azimuth_deg, clockwise from north, and altitude_deg of
-    a place that is dark in reality. Optional: luminance_cdm2, the true luminance of the place
-    (default 0), and radius_deg of the averaged disc (default 0.5). Raises InputError for an invalid
-    line, for a place that is clipped, outside the lens or not brighter than in reality, and for a
-    picture that was merged with another calibration or with a stray-light kernel.
+    Columns: panorama, the path of a picture, relative to the csv; azimuth_deg, clockwise from
+    north, and altitude_deg of a place that is dark in reality. Optional: luminance_cdm2, the true
+    luminance of the place (default 0), and radius_deg of the averaged disc (default 0.5). Raises
+    InputError for an invalid line, for a place that is clipped, outside the lens or not brighter
+    than in reality, and for a picture that was merged with another calibration or with a
+    stray-light kernel.
     """
     optional = {"luminance_cdm2": 0.0, "radius_deg": fit_steps.SPOT_DEG}
     rows = fit_steps.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
@@ -81,9 +82,9 @@ def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
 def reading(picture: Panorama, profile: CameraProfile, row: fit_steps.CsvRow) -> StrayReading:
     """Return the stray light at a dark place of a picture, and the light that may cause it.
 
-    row: the line of the csv with the place. Only the field of the lens whose axis is nearest to the
-    place counts. Raises InputError for a place that is clipped, outside the lens or not brighter
-    than in reality.
+    row: the line of the csv with the place, with the five columns of `from_table`. Only the field
+    of the lens whose axis is nearest to the place counts. Raises InputError for a place that is
+    clipped, outside the lens or not brighter than in reality.
     """
     height, width = picture.luminance_cdm2.shape
     place = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])

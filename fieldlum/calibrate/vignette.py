@@ -32,9 +32,9 @@ class Samples(NamedTuple):
     """The n readings of one lens at one aperture.
 
     r [n]: angle from the axis over half of the lens's full angle; value [n]: light in any linear
-    unit; u_rel [n]: relative uncertainty of the value; lens: index of the lens in the profile;
-    frames: files. Readings of equal angle are held out together. places: those of the readings, if
-    they are patches.
+    unit; u_rel [n]: relative uncertainty of the value; f_number: of all readings; lens: index of
+    the lens in the profile; frames: files. Readings of equal angle are held out together. places:
+    those of the readings, if they are patches.
     """
 
     r: Array
@@ -70,9 +70,10 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
 
     The first form has the columns angle_deg and value, the second file, x_px and y_px. Optional
     columns: reference (a meter's reading at that time, which corrects the drift of a lamp); u_rel
-    and f_number in the first form; radius_px of the patch (default 12) in the second. lens: index
-    for the first form; the second has the lens that shows the first patch. Raises InputError for
-    other columns or values.
+    (default 0.005) and f_number (of the first line; default that of the profile's bracket) in the
+    first form; radius_px of the patch (default 12) in the second. lens: index for the first form;
+    the second has the lens that shows the first patch. Files are relative to the csv. Raises
+    InputError for other columns or values, unreadable frames, and frames of several apertures.
     """
     if "angle_deg" not in fit_steps.columns_of(path):
         return _from_patches(path, profile)
@@ -119,8 +120,8 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
     """Read frames of an evenly lit field (a sphere, a diffuser) as medians over 60 rings.
 
     lens: index of the lens in the profile; rings are of equal angle from its axis. Each frame gives
-    its own readings. Raises InputError for frames of several apertures, or if all pixels are
-    saturated or dark.
+    its own readings. Raises InputError for unreadable frames, several apertures, or if all pixels
+    are saturated or dark.
     """
     geometry, rings = profile.lens[lens], []
     weights, f_numbers = np.array(profile.colour.y_from_rgb), {}

@@ -44,12 +44,12 @@ _CLIPPED_PERCENT = 50.0  # more of the view says little about the room; chosen
 class BracketInterval:
     """One merged bracket: its panorama, its times, and what merge recorded about it.
 
-    slot: its id. t_open_utc, t_close_utc: start of the first and end of the last frame.
-    meter_lx: reading of an illuminance meter, None without one. complete: whether no frame is
+    slot: its id. t_open_utc, t_close_utc: start of the first and end of the last frame. meter_lx:
+    vertical illuminance by a meter at the lens, None without one. complete: whether no frame is
     missing or unreadable. frames: sha256 of each frame. double_of: id of another slot with the same
-    frames, or "". sun_u_percent: uncertainty of the sun's illuminance because few pixels on the
-    disc are usable. clipped_percent: share of the view that is clipped in every frame. camera:
-    model, serial number and lens of the camera, where it reports them.
+    frames, or "". sun_u_percent: relative standard uncertainty of the sun's illuminance because few
+    sensor pixels are on the disc. clipped_percent: share of the view that is clipped in every
+    frame. camera: model, serial number and lens of the camera, where it reports them.
     """
 
     slot: str
@@ -76,7 +76,8 @@ def merged_brackets(session: Session) -> list[BracketInterval]:
     The times are those of its capture.json, without one half a minute around the panorama's time.
     `double_of` is set for brackets that share frames: a card was imported twice with two clock
     offsets, and at least one of the two slots is wrong. `camera` is set only where it differs from
-    the camera of most brackets. Raises InputError for a panorama whose time is unknown.
+    the camera of most brackets. Raises InputError for a panorama whose time is unknown, and for a
+    damaged capture.json or sidecar.
     """
     brackets = [_bracket_of(session, path) for path in session.panorama_files()]
     slots_of: dict[str, list[str]] = {}
@@ -133,8 +134,8 @@ def judge(
     """Return the row of pairs.csv for a bracket, with the verdict on whether it may be used.
 
     light: irradiance during the bracket; altitude_deg (true), azimuth_deg (clockwise from north):
-    of the sun at its middle. `ok` is False if the row must not be used; `why` has the reason, or
-    doubts about a usable row.
+    of the sun in the middle of the bracket. `ok` is False if the row must not be used; `why` has
+    the reason, or doubts about a usable row.
     """
     why = light.why
     top_wm2 = sun.extraterrestrial_wm2([bracket.t_utc])[0]
@@ -197,8 +198,9 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
 
     force: compute the sky view and the sun patches again even if they exist; scheduler: where sun
     patches are computed. The panoramas do not change. A simulated session's own pairs remain in
-    truth/pairs.csv. Raises NotEnoughDataError if nothing is merged, InputError without
-    irradiance/clean.csv or for light at night.
+    truth/pairs.csv. sky_view.exr is written too. Raises NotEnoughDataError if nothing is merged,
+    InputError as `merged_brackets` and `check_night` do, without a valid irradiance/clean.csv, for
+    an invalid session.toml, and for an impossible room.
     """
     brackets = merged_brackets(session)
     if not brackets:
@@ -313,7 +315,8 @@ def write_patches(
     """Write sunpatches/<slot>.exr of n brackets; return the paths in the session, "" without room.
 
     light: at the n brackets. A patch that exists for the same room, camera and sun is used again
-    unless `force`. scheduler: where the others are computed.
+    unless `force`. scheduler: where the others are computed. Raises InputError for an impossible
+    room, or a first panorama that cannot be read.
     """
     if setup.room is None or not brackets:
         return [""] * len(brackets)

@@ -38,11 +38,11 @@ _WIDE = 1.5
 class Shown:
     """What the panorama of one usable bracket shows.
 
-    slot: id of the bracket; sun: None without one; recorded_lx: its normal illuminance in the
-    panorama's file, 0 without one; caution: a sentence about the sun or the file, or ""; seen
+    slot: id of the bracket; sun: None without one; recorded_lx: normal illuminance of the sun in
+    the panorama's file, 0 without one; caution: a sentence about the sun or the file, or ""; seen
     [H, W]: pixels with a value, None for a panorama that cannot be read; heading_deg: azimuth of
-    the centre column; sun_at_deg: altitude and azimuth of the sun, or of a spot that may be the
-    sun, None without.
+    the centre column, clockwise from north; sun_at_deg: altitude and azimuth of the sun in the
+    picture, or of a spot that may be the sun, None without.
     """
 
     slot: str
@@ -92,8 +92,9 @@ def write_sky_view(
     """Estimate the sky view of n usable captures, write it with its picture, and return it.
 
     shown, light: of the same n captures; site: the place. A view in the session that was computed
-    from the same inputs is returned instead, unless `force`. Without a capture by daylight the
-    result is None, and an earlier view is removed.
+    from the same inputs is returned instead, unless `force`. The files are sky_view.exr and
+    sky_view.png in the session. Without a capture by daylight the result is None, and an earlier
+    view is removed. Raises InputError for a picture or sidecar that cannot be read.
     """
     rows = [k for k, capture in enumerate(shown) if capture.seen is not None]
     if not rows:
@@ -170,7 +171,8 @@ def shares_of_beam(view: SkyView | None, room: Room | None, light: Light) -> tup
     """Return the share of the beam that arrives in n hours [n], and a mask [n]: by the sky view.
 
     The sky view decides where its lower bound is above 0, except where its interval is wide and the
-    stated room shows the sun. Elsewhere the share is that of the room, NaN without a room.
+    stated room shows the sun. Elsewhere the share is that of the room, NaN without a room. Raises
+    InputError for an impossible room.
     """
     shares, by_view = np.full(len(light), np.nan), np.zeros(len(light), bool)
     if room is not None:
@@ -186,7 +188,8 @@ def shares_of_beam(view: SkyView | None, room: Room | None, light: Light) -> tup
 def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
     """Draw a view's openness over a panorama, and write it to `path` as a PNG.
 
-    suns [n, 3]: directions of the captured discs, as the panoramas show them.
+    panorama: shown behind it; suns [n, 3]: unit vectors (x east, y north, z up) to the captured
+    discs, as the panoramas show them.
     """
     grid = view.grid
     # edges of the view, in degrees

@@ -22,8 +22,10 @@ def measured_sun(
     """Return the picture's sun, with the meter's illuminance if it is clipped, and a caution or "".
 
     full_normal_lx: DNI times the direct luminous efficacy of Perez et al. (1990), before the glass
-    [lx]. meter_lx: reading of the illuminance meter at the lens, None without one. The sun is None
-    if the picture shows none: it is not added from DNI.
+    [lx]. meter_lx: vertical illuminance by the meter at the lens, None without one. The sun by the
+    meter counts if it is between the clipped disc's lower bound and 1.5 times full_normal_lx
+    (chosen). The sun is None if the picture shows none: it is not added from DNI. The caution is
+    about a picture's measured sun that is brighter than DNI allows.
     """
     stated = panorama.sun
     if stated is None:

@@ -55,8 +55,8 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     Smaller faults are repaired and listed in `.repairs`: night offsets, 29 February of a typical
     year, gaps up to three hours. Longer gaps are left out and listed.
 
-    Raises InputError for a row that cannot be read or irradiance outside -10 to 1600 W/m2, with the
-    line, for rows that are not an hour apart, a station over 300 km away, and what
+    Raises InputError for a file or row that cannot be read or irradiance outside -10 to 1600 W/m2,
+    with the line, for rows that are not an hour apart, a station over 300 km away, and what
     `check_plausible` finds: light at night, wrong units, exchanged columns, labels that are not at
     the middle of their hour. Raises NotEnoughDataError without a single hour that has DNI and DHI.
     """
@@ -98,7 +98,8 @@ SHIPPED_SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 def shipped_seattle(site: Site | None = None) -> Weather:
     """Return the shipped typical year of Seattle of Liu, Colburn and Inanici 2020.
 
-    site: the site of the result, for which the file is checked; None: Seattle.
+    site: the site of the result, for which the file is checked; None: Seattle. Raises InputError
+    for a site over 300 km away.
     """
     return read_weather(shipped("capture_plans") / "seattle_dni_dhi.csv", site or SHIPPED_SITE)
 
@@ -111,7 +112,7 @@ def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Wea
     """Return the weather year of the file `path`.
 
     Without a file, return the shipped year of Seattle for a site within 30 km of it, and a
-    synthetic year drawn by `seed` for other sites.
+    synthetic year drawn by `seed` for other sites. Raises as `read_weather`.
     """
     if path is not None:
         return read_weather(path, setup.site)

@@ -47,8 +47,8 @@ Rows = Iterable[tuple[int, Cells]]
 class WeatherRow(NamedTuple):
     """One hour of a file; irradiances in W/m2, NaN where missing.
 
-    line: number in the file, from 1; when: the time that the file states for the hour (its start,
-    middle or end), on the file's own clock and stored as if it were UTC.
+    line: number in the file, from 1; when: the time that the file states for the hour (the hour's
+    start, middle or end), on the file's own clock and stored as if it were UTC.
     """
 
     line: int
@@ -79,11 +79,13 @@ class WeatherTable:
 def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the content of a weather file, read by the first of `FORMATS` that recognises it.
 
-    lines: of the file; site: for formats that state no place or zone. Raises InputError for a
-    header or row that the format does not allow, and for irradiance outside -10 to 1600 W/m2.
+    A file that no other format recognises is read as fieldlum's own csv. lines: of the file, at
+    least one; site: for formats that state no place or zone. Raises InputError for a header or row
+    that the format does not allow, and for irradiance outside -10 to 1600 W/m2.
     """
     first, second = [*(text for _, text in strict_csv.numbered(lines[:50])), "", ""][:2]
     start = f"{path.suffix.lower()}\n{first.lstrip()}\n{second}".replace('"', "")
+    # The last pattern is empty and matches every file.
     read = next(read for pattern, read in FORMATS if re.match(pattern, start))
     if read not in _BELOW_COMMENTS and lines[0].startswith("#"):
         found = f"a comment above the header '{first[:40]}'"
@@ -535,6 +537,7 @@ def _read_cams(path: Path, lines: list[str], site: Site) -> WeatherTable:
     The comments above the rows have the place and the column names. A row states the start and end
     of its hour, and energies in Wh/m2, which are the hour's means in W/m2.
     """
+    # A row below the comments exists: by it the format was recognised.
     header = next(k for k, line in enumerate(lines) if not line.startswith("#")) - 1
     about = {key.partition(" (")[0]: value for key, value in _about(lines[:header]).items()}
     cells = [*(about.get(key, "?") for key in ("Latitude", "Longitude", "Altitude")), None]

@@ -340,8 +340,8 @@ def _place_error(path: Path, found: str) -> InputError:
 def check_hourly(path: Path, times: Sequence[datetime]) -> None:
     """Raise InputError if the median or the shortest time between rows is not one hour.
 
-    Other stages count rows as hours. times: of the rows, in order. Fewer than three rows are not
-    checked.
+    Other stages count rows as hours. times: of the rows, in ascending order. Fewer than three rows
+    are not checked.
     """
     steps = np.diff([t.timestamp() for t in times]) / 60.0
     for step in (np.median(steps), steps.min()) if len(steps) > 1 else ():
@@ -368,7 +368,7 @@ def contradictions(light: Floats, before_deg: Floats, after_deg: Floats) -> int:
     light: mean DNI + DHI of each span [n] W/m2; before_deg, after_deg: the sun's altitude at its
     two ends [n]. Night is below -0.5 deg at both ends, and light there is over 3 W/m2; day is above
     1.5 deg at both, and no light is under 1 W/m2. The limits are on both sides of sunrise (-0.8
-    deg), and above the rounding of files.
+    deg), and above the rounding of files; chosen.
     """
     lit_at_night = (light > 3.0) & (np.maximum(before_deg, after_deg) < -0.5)
     dark_by_day = (light < 1.0) & (np.minimum(before_deg, after_deg) > 1.5)

@@ -25,8 +25,8 @@ class Weather:
     """Hours of irradiance in time order; t_utc is the middle of each hour. Arrays [n] in W/m2.
 
     name: of file and station; site: the place for which it is used. repairs: one sentence for each
-    thing that was changed, left out or is doubtful. typical: the hours are one year without a date
-    of its own, so that a moment of any year can be looked up. synthetic: computed, not from a file.
+    thing that was changed, left out or is doubtful. typical: the hours are one year that stands for
+    every year, so that a moment of any year can be looked up. synthetic: computed, not from a file.
     """
 
     name: str
@@ -55,9 +55,10 @@ class Weather:
         return self[up & (self.dni_wm2 + self.dhi_wm2 > 0.0)]
 
     def at(self, times_utc: Sequence[datetime]) -> sun.Irradiance:
-        """Return GHI, DHI and DNI of the hour around each moment, [n], W/m2; NaN without one.
+        """Return GHI, DHI and DNI of the hour around each moment, [n], W/m2; NaN if there is none.
 
-        A typical year is used for moments of every year; 29 February has the weather of the 28th.
+        The hour is the one whose middle is within half an hour. A typical year is used for moments
+        of every year; 29 February has the weather of the 28th.
         """
         moments = [self._dated(t) for t in times_utc] if self.typical else times_utc
         seconds = np.array([t.timestamp() for t in moments])

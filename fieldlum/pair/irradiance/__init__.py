@@ -79,7 +79,7 @@ class Series:
 
 
 def poll_period_s(t_unix_s: Floats) -> float:
-    """Return the median time between two rows [s]; t_unix_s: [n]."""
+    """Return the median time between two rows [s], 60 with fewer than two; t_unix_s: [n]."""
     return float(np.median(np.diff(t_unix_s))) if len(t_unix_s) > 1 else 60.0
 
 
@@ -238,11 +238,12 @@ def suspicions(series: Series, altitude: Floats, top: Floats, site: Site) -> NDA
 def spikes(t_unix_s: Floats, value: Floats) -> Mask:
     """Return a mask [n] of single rows that are far above or far below both neighbours.
 
-    t_unix_s [n], ascending; value [n] W/m2. Far is over 20 W/m2, over eight times the difference of
-    the two neighbours, and over three times the usual step, which is the ninth largest of the other
-    steps within 120 rows on each side. Where the light changes often, as under broken clouds, no
-    row is a spike: these limits find spikes and few false alarms (bench/damaged_series.py). Rows
-    next to a gap, and series of fewer than 243 rows, are not judged.
+    t_unix_s [n], ascending; value: one component [n] W/m2, NaN where unknown. Far is over 20 W/m2,
+    over eight times the difference of the two neighbours, and over three times the usual step,
+    which is the ninth largest of the other steps within 120 rows on each side. Where the light
+    changes often, as under broken clouds, no row is a spike: these limits find spikes and few false
+    alarms (bench/damaged_series.py). Rows next to a gap, and series of fewer than 243 rows, are not
+    judged.
     """
     if len(value) < 3 + 2 * _SPIKE_ROWS:
         return np.zeros(len(value), bool)
@@ -287,7 +288,7 @@ def with_dirint(series: Series, altitude: Floats, site: Site) -> Series:
     """Return the series with DNI and DHI by DIRINT in the rows that have only global irradiance.
 
     DIRINT computes DNI from minute means; each row of a minute gets it in proportion to its own
-    global irradiance. The rows are marked DERIVED. altitude: of the sun, [n] deg.
+    global irradiance. The rows are marked DERIVED. altitude: of the sun, true [n] deg.
     """
     alone = np.isfinite(series.ghi_wm2) & np.isnan(series.dhi_wm2) & np.isnan(series.dni_wm2)
     if not alone.any():
@@ -481,7 +482,8 @@ def run(session: Session, *, force: bool = False) -> Health:
     """Check the logged irradiance; write irradiance/clean.csv and irradiance/health.json.
 
     Return health.json's content. Existing files of the same site and the same day files are not
-    computed again, unless `force`. Raises NotEnoughDataError without a readable line.
+    computed again, unless `force`. Raises NotEnoughDataError without a readable line, InputError
+    for an invalid session.toml.
     """
     remove_scraps(session.irradiance)
     files = day_files(session)
