@@ -67,8 +67,9 @@ def dgps(ev_lx: ArrayLike) -> Floats:
 def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
     """Return the unified glare rating UGR, 8 log10(0.25 / Lb sum L^2 omega / P^2), [...].
 
-    contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
-    NaN; background_cdm2 : the background luminance Lb. Source: CIE 117:1995.
+    contrast : [...] the sum of L^2 omega / P^2 over sources as in `dgp`, 0 without a source, for
+    which the result is NaN; background_cdm2 : [...] the background luminance Lb. Source: CIE
+    117:1995.
     """
     ratio = 0.25 * np.asarray(contrast, float) / np.maximum(background_cdm2, 1e-6)
     return _scaled_log10(8.0, ratio)
@@ -82,8 +83,8 @@ def _scaled_log10(factor: float, ratio: Floats) -> Floats:
 def dgi(source_sum: ArrayLike) -> Floats:
     """Return the daylight glare index DGI, 10 log10 of `source_sum`, [...]; NaN without a source.
 
-    source_sum : Hopkinson's terms summed over sources, the second row of `source_terms` (Hopkinson
-    1972, with the position index P for windows).
+    source_sum : [...] Hopkinson's terms summed over sources, the second row of `source_terms`; 0
+    without a source. The formula is that of Hopkinson 1972, with the position index P for windows.
     """
     return _scaled_log10(10.0, np.asarray(source_sum, float))
 
@@ -91,8 +92,9 @@ def dgi(source_sum: ArrayLike) -> Floats:
 def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
     """Return the unified glare probability UGP, 0.26 log10(0.25 / Lb sum L^2 omega / P^2), [...].
 
-    contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
-    NaN; background_cdm2 : the background luminance Lb. Source: Hirning, Isoardi and Cowling 2014.
+    contrast : [...] the sum of L^2 omega / P^2 over sources as in `dgp`, 0 without a source, for
+    which the result is NaN; background_cdm2 : [...] the background luminance Lb. Source: Hirning,
+    Isoardi and Cowling 2014.
     """
     return np.asarray(ugr(contrast, background_cdm2)) * (0.26 / 8.0)
 
@@ -100,9 +102,9 @@ def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
 def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> Floats:
     """Return the CIE glare index, 8 log10(2 (1 + Ed / 500) / Ev sum L^2 omega / P^2), [...].
 
-    contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
-    NaN; ev_lx : Ev, vertical illuminance of the complete view; source_ev_lx : Ed, the part of Ev
-    from the sources. Source: Einhorn 1979.
+    contrast : [...] the sum of L^2 omega / P^2 over sources as in `dgp`, 0 without a source, for
+    which the result is NaN; ev_lx : [...] Ev, vertical illuminance of the complete view;
+    source_ev_lx : [...] Ed, the part of Ev from the sources. Source: Einhorn 1979.
     """
     total = np.asarray(contrast, float)
     ratio = 2.0 * (1.0 + np.asarray(source_ev_lx, float) / 500.0) / np.maximum(ev_lx, 1e-6) * total
@@ -142,7 +144,8 @@ class ViewSums(NamedTuple):
 class Metric(NamedTuple):
     """A glare metric.
 
-    formula : computes its value [n, d]; in_year : whether hourly.csv has a column of it.
+    formula : computes the metric's values [n, d] from the sums of n maps in d view directions;
+    in_year : whether hourly.csv of a predicted year has the metric as a column.
     """
 
     formula: Callable[[ViewSums], Floats]
@@ -175,10 +178,10 @@ def glare_directions(
     """Return the glare of n maps in d view directions by name, [n, d] each.
 
     luminance_cdm2 : [n, H, W] without the sun's disc; views : weights of their pixels.
-    sun_direction : [n, 3] unit vectors (x east, y north, z up), or [m, n, 3] of the sun and images
-    of it in mirrors; None without a sun. disc_lx : [n] or [m, n] illuminance from each, at the
-    lens, on a plane normal to it; 0 where it is hidden; None without a sun. sources : result of
-    `glare_sources` for each map, None to compute it.
+    sun_direction : [n, 3] unit vectors to the sun (x east, y north, z up), or [m, n, 3] to the sun
+    and m - 1 images of it in mirrors; None without a sun. disc_lx : [n] or [m, n] illuminance from
+    each, at the lens, on a plane normal to it; 0 where it is hidden; None without a sun. sources :
+    result of `glare_sources` for each map, None to compute it.
 
     Keys: those of `METRICS`, and the parts of DGP: contrast is the sum of L^2 omega / P^2 over
     sources; sun_contrast and sun_ev_lx are the parts of sun and images in contrast and Ev. ugr,
@@ -252,9 +255,10 @@ def source_terms(
 
 
 def map_ev_lx(luminance_cdm2: Floats, views: Views) -> Floats:
-    """Return the vertical illuminance by n maps [n, H, W] in d view directions, [n, d] in lx.
+    """Return the vertical illuminance by n maps in d view directions, [n, d] in lx.
 
-    The sums of blocks of pixels are added in double precision.
+    luminance_cdm2 : [n, H, W] the maps; views : weights of their pixels. The sums of blocks of
+    pixels are added in double precision.
     """
     flat = luminance_cdm2.reshape(len(luminance_cdm2), -1)
     starts = range(0, flat.shape[1], _BLOCK)
@@ -263,11 +267,12 @@ def map_ev_lx(luminance_cdm2: Floats, views: Views) -> Floats:
 
 
 def sun_per_lx(sun_direction: Floats, views: Views) -> tuple[Floats, Floats]:
-    """Return what a sun disc of 1 lx (normal) adds to Ev and to the contrast of DGP, [n, d] each.
+    """Return what a sun disc of 1 lx adds to Ev and to the contrast of DGP, [..., d] each.
 
-    sun_direction : [n, 3] unit vectors (x east, y north, z up). Both are 0 for a sun behind the
-    observer. A disc of E lx adds E times the first to Ev [lx], and E squared times the second to
-    `contrast` (see `glare_directions`).
+    The 1 lx is on a plane normal to the sun. sun_direction : [..., 3] unit vectors to the sun (x
+    east, y north, z up); views : the d view directions. Both are 0 for a sun behind the observer. A
+    disc of E lx adds E times the first to Ev [lx], and E squared times the second to `contrast`
+    (see `glare_directions`).
     """
     right, up, cosine = _sun_angles(sun_direction, views)
     contrast = (cosine > 0) / (SUN_SOLID_ANGLE_SR * position_index(right, up) ** 2)
@@ -275,10 +280,11 @@ def sun_per_lx(sun_direction: Floats, views: Views) -> tuple[Floats, Floats]:
 
 
 def with_disc(parts: dict[str, Floats], *discs: DiscLight) -> tuple[Floats, Floats]:
-    """Return Ev and contrast of `parts` with other suns, [..., n, d] each.
+    """Return Ev [lx] and contrast of n maps in d view directions with other suns, [..., n, d] each.
 
     parts : result of `glare_directions`; its sun and images of the sun are removed first. discs :
-    of the sun and of each image of it, the result of `sun_per_lx` and a new illuminance [..., n].
+    for the sun and for each image of it, the result of `sun_per_lx` and a new illuminance [..., n]
+    in lx, on a plane normal to it.
     """
     ev = parts["ev_lx"] - parts["sun_ev_lx"]
     contrast = np.maximum(parts["contrast"] - parts["sun_contrast"], 0.0)
@@ -379,11 +385,13 @@ def brightest_cdm2(luminance_cdm2: Floats, views: Views) -> Floats:
 def unseen_dgp_bounds(
     coverage: ViewCoverage, ev_lx: Floats, contrast: Floats, max_cdm2: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the minimum and maximum DGP over possible luminances of the unseen part, [n, d].
+    """Return the minimum and maximum DGP over possible luminances of the unseen part, [n, d] each.
 
-    ev_lx, contrast : [n, d] vertical illuminance, and sum of L^2 omega / P^2 over sources, of the
-    seen part; max_cdm2 : [n] the brightest likely luminance of the unseen part. If nothing is
-    unseen, both are the DGP of the seen part.
+    coverage : of the d view directions. ev_lx, contrast : [n, d] vertical illuminance, and sum of
+    L^2 omega / P^2 over sources, of the seen part in n maps; max_cdm2 : [n] the brightest likely
+    luminance of the unseen part, of which at least 1 is used. The unseen part has one luminance: 0
+    and 12 values from 1 cd/m2 to the brightest are tried. If nothing is unseen, both results are
+    the DGP of the seen part.
     """
     values = [dgp(ev_lx, contrast)]
     for share in np.linspace(0.0, 1.0, 12) if coverage.unseen_illuminance.any() else ():
@@ -407,8 +415,8 @@ BAND_DEG = 20.0  # the 40-degree horizontal band of Van Den Wymelenberg and Inan
 def local_contrast(image: Floats) -> Floats:
     """Return the weighted mean absolute difference of each pixel to its eight neighbours, [H, W].
 
-    Diagonal neighbours have the weight 1 / sqrt(2), the others 1. Pixels on the border of the image
-    [H, W] are 0.
+    image : [H, W] in any unit, which the result has too. Diagonal neighbours have the weight 1 /
+    sqrt(2), the others 1 (code of Liu, Colburn and Inanici 2020). The result is 0 on the border.
     """
     values = np.asarray(image, np.float64)
     out = np.zeros_like(values)
@@ -422,8 +430,10 @@ def local_contrast(image: Floats) -> Floats:
 def rammg(luminance_cdm2: Floats) -> float:
     """Return RAMMG [cd/m2] of a map [H, W] in cd/m2: the mean contrast of five pyramid levels.
 
-    The first level is the map; each further one has half the rows and columns of the level before.
-    Remove a sun disc from the map first, because it dominates the result.
+    The contrast of a level is the mean of its `local_contrast`. The first level is the map; each
+    further one has half the rows and columns of the level before. Remove a sun disc from the map
+    first, because it dominates the result. Source: Rizzi et al. 2004, as in the code of Liu,
+    Colburn and Inanici 2020.
     """
     import cv2
 
@@ -440,7 +450,8 @@ def region_weights(views: Views) -> tuple[Floats32, Floats32, Floats32]:
 
     The result is for `region_ratios`, [P, d] sr each. Task cone: 15 degrees around 30 degrees below
     the line of sight (chosen); band: 20 degrees above and below the horizon (Van Den Wymelenberg
-    and Inanici 2014). Both are NaN in directions of which less than 90 % of them were seen.
+    and Inanici 2014). Task cone or band is NaN in a direction in which lenses saw less than 90 % of
+    it.
     """
     rays, omega = views.rays()
     _, up, forward = np.moveaxis(rays, 1, 0)
@@ -460,13 +471,13 @@ def region_ratios(
 ) -> dict[str, Floats]:
     """Return task luminance, window over task luminance and uniformity, by name, [n, d] each.
 
-    They are of n maps in d view directions. luminance_cdm2 : [n, H, W]; weights : of
-    `region_weights`. task_cdm2 : mean luminance of the task cone, which has 15 degrees radius and
+    They are of n maps in d view directions. luminance_cdm2 : [n, H, W]; weights : the result of
+    `region_weights`. Keys: task_cdm2 : mean luminance of the task cone of 15 degrees radius, which
     is 30 degrees below the line of sight. window_to_task : mean luminance of the pixels above 2000
     cd/m2 in the front hemisphere, over task_cdm2; NaN without such pixels. uniformity : harmonic
     over arithmetic mean luminance of the band within 20 degrees of the horizon: 1 if the band is
-    uniform, less with dark corners. Figures are of the seen pixels; NaN if they are less than 90 %
-    of the task cone, or of the band.
+    uniform, less with dark corners. Figures are of the seen pixels; NaN if these are less than 90 %
+    of the figure's task cone or band.
     """
     half, task, band = weights
     flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)

@@ -55,9 +55,10 @@ def picture_glare(
     replace the view in the file; "" to use the file's. part : name of the part, layer or stereo
     view of an .exr; "" for the only one. measured_ev_lx : scale the picture so that its first view
     has this vertical illuminance; None for no scaling. lamps : electric light is on, or off; None
-    if unknown. Keys: `glare_answer`. Raises InputError for an unusable picture, for azimuths other
-    than the own one of a picture that is no panorama, or if a picture to scale has no light in its
-    first view.
+    if unknown. Keys: those of `glare_answer`; with measured_ev_lx also calibration_factor, by which
+    the luminance was multiplied. Raises InputError for an unusable picture, for azimuths other than
+    the own one of a picture that is no panorama, or if a picture to scale has no light in its first
+    view; with `reference` FieldlumError if evalglare prints no figures.
     """
     picture = pictures.read_picture(path, view_options, part)
     picture = picture if lamps is None else replace(picture, lamps=lamps)
@@ -75,9 +76,9 @@ def picture_glare(
 def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> JsonTable:
     """Return the same as `picture_glare`, for a panorama in memory; the answer's `file` is "".
 
-    The keys are those of `glare_answer`. azimuths_deg : view directions, clockwise from north; ten
-    if empty. Raises InputError for a map that is not twice as wide as high, or has seen pixels that
-    are not finite.
+    The keys are those of `glare_answer`; there are no figures of evalglare, and it is unknown
+    whether lamps are on. azimuths_deg : view directions, clockwise from north; ten if empty. Raises
+    InputError for a map that is not twice as wide as high, or has seen pixels that are not finite.
     """
     require_panorama(panorama, "panorama")
     answer, _ = glare_answer(Picture(panorama, None), Path("panorama"), azimuths_deg)
@@ -96,7 +97,9 @@ def glare_answer(
 
     path : names the picture in the answer and in errors. azimuths_deg : view directions, clockwise
     from north; if empty, ten around a panorama, or a fisheye's own. reference : add evalglare's
-    figures. Keys:
+    figures. Raises InputError for seen pixels that are not finite, and for azimuths other than the
+    own one of a picture that is no panorama; FieldlumError if evalglare prints no figures. Keys of
+    the answer:
 
     file; t_utc : time of the picture; None if unknown. heading_deg : azimuth of a panorama's centre
     column, or of a fisheye's view. sun : the sun as a source next to the pixels (fields of
@@ -264,9 +267,10 @@ def take_out_sun(
 ) -> tuple[Floats, SunSource | None]:
     """Return the map without a sun disc in its pixels, and the sun as a source; None without a sun.
 
-    luminance_cdm2 : [H, W = 2H]; heading_deg : azimuth of its centre column, clockwise from north.
-    recorded : the sun that the picture records separately: it is returned, and the map is
-    unchanged. If it is None, a disc in the pixels (of a rendering) is searched and removed.
+    luminance_cdm2 : [H, W = 2H], which is not changed in place; heading_deg : azimuth of its centre
+    column, clockwise from north. recorded : the sun that the picture records separately: it is
+    returned, with the same map. If it is None, a disc in the pixels (of a rendering) is searched by
+    `find_disc` and removed; the sun that is returned has the origin "picture".
     """
     disc = None if recorded else find_disc(luminance_cdm2, heading_deg)
     if disc is None:

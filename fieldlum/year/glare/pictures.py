@@ -45,11 +45,12 @@ _INHERITED = "the VIEW is that of an input picture: it is wrong if that picture 
 class Picture:
     """A luminance picture with its view.
 
-    panorama : the pixels, rows from the top, also of a picture that is no panorama; heading_deg is
-    then the azimuth of its view. view : the view of a fisheye or perspective picture; None for a
+    panorama : the pixels, rows from the top, also of a picture that is no panorama; its heading_deg
+    is then the azimuth of the view. view : the view of a fisheye or perspective picture; None for a
     panorama. directed : False if the view states no direction: its azimuth is then the heading of
-    an .exr, or Radiance's default, north. notes : warnings of the reader. lamps : True if the
-    journal of the picture's session marks a lamp as on; None if unknown.
+    an .exr, or Radiance's default, north. notes : warnings of the reader, sentences. lamps :
+    whether electric light is on; None if unknown. `read_picture` sets True if the journal of the
+    picture's session marks a lamp as on, else None.
     """
 
     panorama: Panorama
@@ -62,9 +63,10 @@ class Picture:
 def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
     """Return a .hdr or .exr picture with its view, which `view_options` replace if they are not "".
 
-    view_options : Radiance's options, such as "-vta -vd 0 -1 0 -vh 180 -vv 180". part : name of the
-    part, layer or stereo view of an .exr; "" for the only one. Raises InputError for a missing or
-    damaged file, and a missing or contradictory view.
+    view_options : Radiance's options as for `parse_view`, such as "-vta -vd 0 -1 0 -vh 180 -vv
+    180". part : name of the part, layer or stereo view of an .exr; "" for the only one. Raises
+    InputError for a missing or damaged file, a missing or contradictory view, a `part` that the
+    file does not have, and any `part` of a .hdr.
     """
     what = "a picture .hdr or .exr"
     with input_errors(path, what, "check the path", OSError), open_to_read(path) as file:
@@ -137,8 +139,9 @@ def picture_views(
 ) -> Views:
     """Return the weights of each pixel of a picture of height x width pixels with a Radiance view.
 
-    seen_mask : pixels that a lens saw [H, W]; None for all. A pixel on the edge of the hemisphere
-    has the weight of its part in front. The weights need 16 bytes of memory for each pixel.
+    The only view direction (d = 1) is that of the picture. seen_mask : True for pixels that a lens
+    saw [H, W]; None for all. A pixel on the edge of the hemisphere has the weight of its part in
+    front. The weights need 16 bytes of memory for each pixel.
     """
     # samples along the edge of a pixel, and their places in it, in pixels from its centre
     samples = np.ceil(_FINE_SAMPLES / min(height, width)).clip(1, _MAX_PIXEL_SAMPLES).astype(int)
@@ -232,9 +235,9 @@ def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> tuple[Floats,
 
     x, y : [...] coordinates of the points, from -1/2 to 1/2 over the picture, x to the right, y
     upwards; the view's shift and lift are added to them. A direction is a unit vector (right, up,
-    forward) along the axes of the view. The solid angle, in sr, is that of the complete picture if
-    it had the same everywhere; 0 where the mapping has no direction. view.kind: one of "a"
-    (equidistant), "h" (hemispherical), "s" (stereographic), else perspective.
+    forward) along the axes of the view. The second result times the share of a small part in the
+    picture's area is the part's solid angle, sr; it is 0 where the mapping has no direction. The
+    mappings are Radiance's (viewray in src/common/image.c).
     """
     reach = [_reach(view.kind, angle) for angle in (view.horizontal_deg, view.vertical_deg)]
     right, up = np.asarray(x, float) + view.shift, np.asarray(y, float) + view.lift
@@ -261,8 +264,8 @@ def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> tuple[Floats,
 def picture_directions(picture: Picture) -> tuple[Floats, Floats]:
     """Return directions [H, W, 3] (x east, y north, z up) of pixels, and solid angles [H, W] in sr.
 
-    The solid angle is that of a complete pixel, also behind the observer; 0 where the view has no
-    direction.
+    Directions are unit vectors. The solid angle is that of a complete pixel, also behind the
+    observer; 0 where the view has no direction.
     """
     height, width = picture.panorama.luminance_cdm2.shape
     if picture.view is None:
@@ -308,12 +311,14 @@ def check_proportion(
 
 
 def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView:
-    """Return the view that Radiance's view options `text` describe.
+    """Return the view that Radiance's view options `text` describe, such as `EXAMPLE_VIEW`.
 
-    The last of repeated options counts; unknown ones are ignored. Without -vd the view is
-    horizontal and faces `heading_deg`, clockwise from north (Radiance's own default is north).
-    Raises InputError, which names `source`, for a missing or unknown view type, and for impossible
-    numbers.
+    text : one of -vta, -vth, -vts and -vtv; -vd and -vu with three numbers each, the directions
+    forward and up (x east, y north, z up); -vh and -vv, the full angles of view (180 degrees if
+    missing, 45 with -vtv); -vs and -vl, shift and lift. Only the type is required. The last of
+    repeated options counts; unknown ones are ignored. Without -vd the view is horizontal and faces
+    `heading_deg`, clockwise from north (Radiance's own default is north). Raises InputError, which
+    names `source`, for an empty text, a missing or unknown view type, and impossible numbers.
     """
     if not text:
         remedy = f"{HOW}; a panorama needs FIELDLUM_VIEW= equirect heading_deg=180 in its header"
@@ -324,7 +329,11 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
         raise InputError(source, found, "-vta, -vth, -vts or -vtv", HOW)
 
     def numbers(name: str, *default: float) -> Floats:
-        """Return the numbers after the last option `name`, or `default`; three as a unit vector."""
+        """Return the numbers after the last option `name`, or `default`; three as a unit vector.
+
+        name : without its dash, such as "vd"; default : as many numbers as the option has. Raises
+        InputError for too few numbers, other words, and a vector of length 0.
+        """
         is_vector = len(default) == 3
         found = re.findall(rf"(?<!\S)-{name}((?:\s+\S+){{1,{len(default)}}})", text) or [""]
         with input_errors(f"{source}: -{name}{found[-1][:80]}", "a number", HOW, ValueError):
@@ -376,8 +385,8 @@ def panorama_to_fisheye(
 
     luminance_cdm2 : the panorama [H, W = 2H]; heading_deg : azimuth of its centre column.
     azimuth_deg : the horizontal view direction of the picture. Azimuths are clockwise from north.
-    sun : its light is added to the pixels of its disc; nothing is added for None or a sun behind
-    the observer.
+    size : pixels per side of the picture. sun : its light is added to the pixels of its disc;
+    nothing is added for None or a sun behind the observer.
 
     A pixel is the mean of samples of the panorama, fine enough for both grids, so that the flux is
     preserved. Pixels outside the circle are 0.
@@ -421,10 +430,11 @@ def _fisheye_samples(
 def disc_pixels(views: Views, shape: tuple[int, int], sun: SunSource) -> Floats32:
     """Return the luminance [H, W] that the sun's disc adds to the pixels of a picture, in cd/m2.
 
-    views : weights of the picture of this shape, in its own direction. The nearest pixels that have
-    the disc's solid angle together, at least one, get the same luminance, so that they have its
-    energy. A sun behind the observer or outside the picture, over a pixel's diagonal from the
-    nearest one, adds nothing.
+    views : weights of the picture's pixels, in one view direction; shape : (H, W) of the picture.
+    The pixels nearest to the sun that together have the disc's solid angle, at least one, get the
+    same luminance, so that they have the disc's energy. Nothing is added for a sun behind the
+    observer or outside the picture: further from the nearest pixel than this pixel's diagonal and
+    the disc's radius together.
     """
     out = np.zeros(shape, np.float32)
     rays, omega = views.rays()
@@ -450,10 +460,10 @@ FLAGS = ("-b", "2000", "-C", "l-", "-d")  # threshold 2000 cd/m2, no low-light c
 class ReferenceGlare(NamedTuple):
     """evalglare's figures of one picture; NaN for figures that its version does not print.
 
-    dgp, dgi, ugr, ugp, cgi : its indices. ev_lx : vertical illuminance. background_cdm2 :
-    background luminance. veiling_cdm2 : veiling luminance of Stiles and Holladay without the age
-    term (evalglare's Lveil_cie). sources : number of glare sources. version, flags : those of the
-    evalglare that was run.
+    dgp, dgi, ugr, ugp, cgi : its indices, as functions of these names in `metrics`. ev_lx :
+    vertical illuminance. background_cdm2 : background luminance. veiling_cdm2 : veiling luminance
+    of Stiles and Holladay without the age term (evalglare's Lveil_cie). sources : number of glare
+    sources. version : text that evalglare prints about itself; flags : options it was run with.
     """
 
     dgp: float
@@ -474,7 +484,11 @@ _NAMES = ("dgp", "E_v", "dgi", "ugr", "lum_backg", "ugp", "cgi", "Lveil_cie")  #
 
 @lru_cache(maxsize=1)
 def reference_version() -> str:
-    """Return the version text that evalglare prints."""
+    """Return the version text that evalglare prints.
+
+    It is the evalglare in the wheel of pyradiance, which is run once. Raises OSError if it cannot
+    be run.
+    """
     command = [images.radiance_program("evalglare"), "-v"]
     shown = subprocess.run(command, capture_output=True, text=True, check=False)
     return (shown.stdout or shown.stderr).strip()
@@ -483,8 +497,9 @@ def reference_version() -> str:
 def reference_glare(picture_cdm2: Floats, *, view: str = FISHEYE_VIEW) -> ReferenceGlare:
     """Return evalglare's figures for a picture [H, W] in cd/m2.
 
-    view : its view as Radiance's options, by default an equidistant 180-degree one. Raises
-    FieldlumError if evalglare prints no figures.
+    view : its view as Radiance's options, by default an equidistant 180-degree one. The picture is
+    written to a temporary file. Raises FieldlumError if evalglare prints no figures, OSError if it
+    cannot be run.
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / "view.hdr"
@@ -495,7 +510,8 @@ def reference_glare(picture_cdm2: Floats, *, view: str = FISHEYE_VIEW) -> Refere
 def reference_glare_of_file(path: Path) -> ReferenceGlare:
     """Return evalglare's figures for a .hdr picture on disk whose header states its VIEW.
 
-    Raises FieldlumError if evalglare prints no figures.
+    evalglare is run with `FLAGS`. Raises FieldlumError if it prints no figures, OSError if it
+    cannot be run.
     """
     command = [images.radiance_program("evalglare"), *FLAGS, str(path)]
     process = subprocess.run(command, capture_output=True, text=True, check=False)

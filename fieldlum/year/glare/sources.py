@@ -83,12 +83,13 @@ class Views:
 
     A panorama has any number of horizontal directions, another picture its own one. azimuths_deg :
     [d] the view directions, clockwise from north. frames : [d, 3, 3] unit vectors right, up and
-    forward of each as rows. illuminance : [P, d] solid angle times cosine to the view direction,
-    sr; its product with a flat map is Ev. moments : [P, 3, d] solid angle, sr, and this times the
-    pixel's coordinates right and up by `angles_from_view`. Both are 0 behind the observer and for
-    pixels that no lens saw. ahead : [P, d] pixels with a weight whose centre is in front.
-    hemisphere : [5, d] sums over the complete hemisphere in front: of illuminance, of moments, and
-    of solid angle over squared position index.
+    forward of each as rows (x east, y north, z up). illuminance : [P, d] solid angle times cosine
+    to the view direction, sr; its product with a flat map is Ev. moments : [P, 3, d] solid angle,
+    sr, and this times the pixel's coordinates right and up by `angles_from_view`, sr rad.
+    illuminance and moments are 0 behind the observer and for pixels that no lens saw. ahead : [P,
+    d] True for pixels with a weight whose centre is in front. hemisphere : [5, d] sums over the
+    complete hemisphere in front: of illuminance, of the three moments, and of solid angle over
+    squared position index. is_panorama : False for another picture.
     """
 
     azimuths_deg: Floats
@@ -102,7 +103,8 @@ class Views:
     def rays(self, pixels: NDArray[np.int64] | slice = slice(None)) -> tuple[Floats, Floats]:
         """Return unit vectors (right, up, forward) [n, 3, d] and solid angles [n, d] of n pixels.
 
-        Only those of pixels with a solid angle above 0 have a meaning.
+        pixels : flat indices of the pixels, or a slice; by default all. Solid angles are in sr; a
+        vector has a meaning only if its pixel's solid angle is above 0.
         """
         omega, right, up = np.moveaxis(self.moments[pixels], 1, 0)
         right, up = right / np.maximum(omega, 1e-30), up / np.maximum(omega, 1e-30)
@@ -203,7 +205,7 @@ def group_pixels(mask: Mask) -> NDArray[np.int32]:
     """Return the number of the glare source of each pixel, from 1, [H, W]; 0 outside `mask`.
 
     mask : [H, W = 2H] of a panorama, True for bright pixels. Pixels closer than 0.1 rad belong to
-    one source.
+    one source. Numbers can be missing between the first and the last.
     """
     from scipy.ndimage import label
 
@@ -234,9 +236,9 @@ def _joined_at_seam(labels: NDArray[np.int32]) -> NDArray[np.int32]:
 class Sources(NamedTuple):
     """The s glare sources of a picture in d view directions, [s, d] each.
 
-    mean_cdm2 : mean luminance; solid_angle_sr; right_rad, up_rad : coordinates of the centre by
-    `angles_from_view`; ev_lx : vertical illuminance from the source. pixels : flat indices of the
-    pixels of each.
+    mean_cdm2 : mean luminance; solid_angle_sr : the part in front of the observer; right_rad,
+    up_rad : coordinates of the centre by `angles_from_view`; ev_lx : vertical illuminance from the
+    source. pixels : for each source an array of the flat indices of its pixels.
     """
 
     mean_cdm2: Floats
@@ -248,7 +250,7 @@ class Sources(NamedTuple):
 
     @property
     def contrast(self) -> Floats:
-        """L^2 omega / P^2 of each source, [s, d]: its part of the contrast term of DGP."""
+        """L^2 omega / P^2 of each source, [s, d]: what it adds to `contrast` in `metrics.dgp`."""
         index = position_index(self.right_rad, self.up_rad)
         return self.mean_cdm2**2 * self.solid_angle_sr / index**2
 
@@ -264,7 +266,10 @@ def glare_sources(luminance_cdm2: Floats, views: Views) -> Sources:
     bright = luminance_cdm2.ravel()[chosen].astype(float)[:, None]
 
     def total(values: Floats) -> Floats:
-        """Return the sum of values [n, d] over the pixels of each source, [s, d]."""
+        """Return the sum of values over the pixels of each of the s sources, [s, d].
+
+        values : of the n pixels of all sources, in the order of `chosen`, [n, d].
+        """
         return np.add.reduceat(values, starts, axis=0, dtype=float)
 
     omega, right_moment, up_moment = np.moveaxis(views.moments[chosen], 1, 0)  # [n, d] each
@@ -298,7 +303,11 @@ def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[NDArr
     row, column = np.clip(cells, 0, np.array(shape)[:, None] - 1)
 
     def groups(chosen: Mask) -> NDArray[np.int32]:
-        """Return the number of the source of each bright pixel if only those of the mask count."""
+        """Return the number of the source of each bright pixel, from 1, [n].
+
+        chosen : mask [n] of the bright pixels that form the sources; the numbers of the others have
+        no meaning.
+        """
         mask = np.zeros(shape, bool)
         mask[row[chosen], column[chosen]] = True
         return group_pixels(mask)[row, column]

@@ -45,8 +45,9 @@ def disturbed_share(dgp: Floats) -> Floats:
 def dgp_per_scale(dgp: Floats, ev_lx: Floats) -> Floats:
     """Return the derivative of DGP with respect to a common factor on all luminances, [...].
 
-    dgp, ev_lx : [...] each. In DGP's formula the factor multiplies Ev, and the argument of the
-    contrast term by its power 2 - 1.87 = 0.13.
+    It is dDGP / dln(factor), at the factor 1. dgp, ev_lx : [...] each. In DGP's formula (`dgp`)
+    the factor multiplies Ev; it multiplies the quotient in the logarithm, sum L^2 omega / P^2 over
+    Ev^1.87, by its power 2 - 1.87 = 0.13.
     """
     power = np.clip((dgp - DGP_EV * ev_lx - DGP_BASE) / DGP_CONTRAST, 0.0, None)
     share = 1.0 - 10.0**-power  # x / (1 + x), as the contrast term is log10(1 + x)
@@ -56,9 +57,10 @@ def dgp_per_scale(dgp: Floats, ev_lx: Floats) -> Floats:
 class DgpUncertainty(NamedTuple):
     """How uncertain the DGP of n hours in d directions is.
 
-    words [d] : "seen", "partly seen" or "not seen"; minimum, maximum [n, d] : DGP over possible
-    light in the unseen part of a view; drawn [k, n, d] : DGP with the sun's disc as visible in each
-    of k possible rooms; u_maps [n, d] : standard uncertainty by the model's maps, NaN if unknown.
+    words [d] : "seen", "partly seen" or "not seen"; minimum, maximum [n, d] : lowest and highest
+    DGP over possible light in the unseen part of a view; drawn [k, n, d] : DGP in k random draws
+    of the sun's place and visibility; u_maps [n, d] : standard uncertainty of DGP by the model's
+    maps, NaN if unknown.
     """
 
     words: tuple[str, ...]
@@ -130,8 +132,9 @@ def protection(
     None for none.
 
     The interval comes from 400 years drawn with `rng`, with normal errors around the model's DGP;
-    half of their variance is common to all hours. Each drawn year takes the sun's disc from one of
-    the drawn rooms. The lower end uses `uncertainty.minimum`, the upper end `uncertainty.maximum`.
+    half of their variance is common to all hours. Each drawn year takes the sun's disc from one
+    draw of `uncertainty.drawn`. The lower end uses `uncertainty.minimum`, the upper end
+    `uncertainty.maximum`.
     """
     exceeded = exceeded_in_share(dgp, occupied_hours)
     judged = np.array([word != NOT_SEEN for word in uncertainty.words])
@@ -189,10 +192,10 @@ def _interval(
 
 
 def year_errors(shape: tuple[int, ...], rng: Generator) -> Floats:
-    """Return standard normal errors of one drawn year, [n hours, d directions].
+    """Return random errors of one drawn year, [n hours, d directions], each of variance 1.
 
-    shape: (n, d). The share `COMMON_ERROR` of the variance is one error of a direction in all
-    hours; the rest is one error of an hour in all directions.
+    shape: (n, d). Errors are normal with mean 0. The share `COMMON_ERROR` (half) of the variance is
+    one error of a direction in all hours; the rest is one error of an hour in all directions.
     """
     common = rng.standard_normal((1, shape[1])) * np.sqrt(COMMON_ERROR)
     own = rng.standard_normal((shape[0], 1)) * np.sqrt(1.0 - COMMON_ERROR)

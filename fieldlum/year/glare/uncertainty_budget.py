@@ -37,9 +37,11 @@ _NORMAL, CAMERA = "normal", "camera"
 class Source(NamedTuple):
     """One source of uncertainty: a row of a budget.
 
-    kind: "A" (from repeated observations) or "B" (GUM 4.2, 4.3). u: standard uncertainty of the
-    input, in `unit`. contribution: what it adds to the figure's u, in the figure's unit; the
-    sensitivity is contribution over u. shared_by: whose errors are equal.
+    name: of the uncertain input, as a text for the reader. kind: "A" (from repeated observations)
+    or "B" (GUM 4.2, 4.3). distribution: "normal" or "rectangular". u: standard uncertainty of the
+    input, in `unit`. shared_by: what has the same error of this input, such as "all hours" or "all
+    pixels". contribution: what the source adds to the figure's u, in the unit of `Budget`; the
+    sensitivity is contribution over u.
     """
 
     name: str
@@ -61,7 +63,9 @@ UNSEEN = Source("part of the view that no lens saw", "B", "rectangular", 1.0, "u
 class Budget:
     """The uncertainty budget of one figure in one view direction.
 
-    azimuth_deg: clockwise from true north. sources are independent of each other.
+    figure: its name, such as "DGP"; unit: that of `estimate`, the figure's value, and of the
+    contributions; azimuth_deg: of the view direction, clockwise from true north; sources: they are
+    independent of each other.
     """
 
     figure: str
@@ -97,10 +101,11 @@ class _Scene(NamedTuple):
     def figures(
         self, more_cdm2: Floats | float = 0.0, more_sun: float = 0.0, turn_deg: float = 0.0
     ) -> dict[str, Floats]:
-        """Return DGP, Ev, melanopic EDI, and luminance of the pixel ahead, by name, [d] each.
+        """Return DGP, Ev, melanopic EDI, and luminance of the pixel ahead, [d] each.
 
-        more_cdm2: added to the luminance; more_sun: share of the sun's illuminance that is added to
-        it; turn_deg: added to the view directions. A picture without colour has no melanopic EDI.
+        The keys are those of `UNITS`, which has the units. more_cdm2: added to the luminance, a
+        number or [H, W]; more_sun: share of the sun's illuminance that is added to it; turn_deg:
+        added to the view directions, clockwise. A picture without colour has no melanopic EDI.
         """
         panorama, sun, azimuths = self.picture.panorama, self.sun, self.azimuths_deg + turn_deg
         light = np.maximum(self.luminance_cdm2 + more_cdm2, 0.0)
@@ -131,9 +136,12 @@ class _Scene(NamedTuple):
 def budget_of_file(path: Path, azimuths_deg: Sequence[float], lamps: bool | None) -> list[Budget]:
     """Return `picture_budget` of a panorama on disk, with the uncertainty of its heading.
 
-    That is the one of the pose in the session's sky view, or of a compass without it. Raises
-    InputError for an unusable picture, or one that is no panorama. azimuths_deg: the view
-    directions; lamps: whether lamps are on, None for unknown.
+    The heading's uncertainty is that of the camera's pose in the session's sky_view.exr, which is
+    searched in the parent of the picture's folder; without it, that of a compass (`STATED_SD`, 2.5
+    degrees). azimuths_deg: the view directions, clockwise from north; lamps: whether lamps are on,
+    None to use what the session's journal states. Raises InputError for an unusable picture or sky
+    view, for a picture that is no panorama, and for pixels that are not finite or without
+    uncertainty.
     """
     picture = read_picture(path)
     if picture.view is not None:
@@ -150,10 +158,12 @@ def picture_budget(
 ) -> list[Budget]:
     """Return the budgets of DGP, Ev, melanopic EDI and luminance ahead, for each view direction.
 
-    picture: a panorama with its sun; path: names it in errors. u_heading_deg: standard uncertainty
-    of its heading. A picture without `u_percent` (of an earlier version or another program) has one
-    source for the complete uncertainty of its pixels, which then counts as shared by all of them.
-    Raises InputError for pixels that are not finite, or without uncertainty.
+    A figure that is not known, such as melanopic EDI without colour, has no budget. picture: a
+    panorama with its sun; path: names it in errors; azimuths_deg: the view directions, clockwise
+    from north; u_heading_deg: standard uncertainty of the picture's heading. A picture without the
+    attribute `u_percent` (of an earlier version or another program) has one source for the complete
+    uncertainty of its pixels, which then counts as shared by all of them. Raises InputError for
+    pixels that are not finite, or without uncertainty.
     """
     panorama, azimuths = picture.panorama, np.asarray(azimuths_deg, float)
     light, _ = valid_pixels(panorama, path)
@@ -176,13 +186,15 @@ def year_budget(
 ) -> list[Budget]:
     """Return the budget of the DGP that is exceeded in 5 % of the occupied hours, by direction.
 
-    dgp, ev_lx [n, d], uncertainty: those of the n lit occupied hours; azimuths_deg: the directions
-    [d]. u_camera_rel: relative standard uncertainty by each part of the camera's calibration.
-    Another year's weather, a blind that moves and clouds that move within the hour are not in it.
+    dgp, ev_lx [n, d], uncertainty: those of the n lit occupied hours; occupied_hours: number of lit
+    and dark ones; azimuths_deg: the view directions [d], clockwise from north. u_camera_rel:
+    relative standard uncertainty by each part of the camera's calibration. Another year's weather,
+    a blind that moves and clouds that move within the hour are not in it.
     """
     name, per_scale = "DGP exceeded in 5 %", standards.dgp_per_scale(dgp, ev_lx)
 
     def exceeded(values: Floats) -> dict[str, Floats]:
+        """Return the DGP exceeded in 5 % of the occupied hours, [d]; values: DGP [n, d]."""
         return {name: standards.exceeded_in_share(np.clip(values, 0.0, 1.0), occupied_hours)}
 
     low, high = (exceeded(bound)[name] for bound in (uncertainty.minimum, uncertainty.maximum))
@@ -193,21 +205,28 @@ def year_budget(
 
 
 def of_share(name: str, kind: str, u_rel: float, shared_by: str = "all hours") -> Source:
-    """Return a source whose relative standard uncertainty is `u_rel`; the row has it in percent."""
+    """Return a source with the relative standard uncertainty `u_rel`, as `Source.u` in percent.
+
+    name, kind, shared_by: fields of `Source`; its distribution is normal.
+    """
     return Source(name, kind, _NORMAL, 100 * u_rel, "%", shared_by)
 
 
 def camera_changes(u_rel: Mapping[str, float], figure: Floats) -> list[tuple[Source, Floats]]:
-    """Return each part of the camera's calibration, with what its u adds to a figure, [n, d].
+    """Return each part of the camera's calibration as a source, with what its u adds to a figure.
 
-    u_rel: relative standard uncertainty of each part; figure: the figure's change for a relative
-    change of all luminances, [n, d].
+    u_rel: relative standard uncertainty by name of the part; figure: derivative of the figure in n
+    hours and d directions with respect to a common factor on all luminances, [n, d]. What u adds
+    has this shape and the unit of the figure.
     """
     return [(of_share(f"{CAMERA} {name}", "B", u), u * figure) for name, u in u_rel.items()]
 
 
 def camera_share(budgets: Sequence[Budget]) -> float:
-    """Return the share (0 to 1) of the camera's calibration in the variance of all `budgets`."""
+    """Return the share (0 to 1) of the camera's calibration in the summed variance of `budgets`.
+
+    The budgets must be of figures with the same unit. Without any variance the share is 0.
+    """
     sources = [source for each in budgets for source in each.sources]
     camera = sum(s.contribution**2 for s in sources if s.name.startswith(CAMERA))
     return camera / max(sum(s.contribution**2 for s in sources), 1e-12)
@@ -223,32 +242,41 @@ def budgets_of_year(
 ) -> list[Budget]:
     """Return the budgets of a year's figures: functions of the values of n hours in d directions.
 
-    figures: computes the figures of values [n, d], by name, [d] each. values: their estimate. unit:
-    that of figures that are not in `UNITS`. changes: for each source what one u adds to the values:
-    [n, d], by an error of all hours, or as `standards.year_errors` for those of `MODEL`; or draws
-    [m, n, d]. unseen: what the unseen part adds to the figures.
+    figures: computes the figures of values [n, d], by name, [d] each. values: the best estimate of
+    the values, [n, d]. azimuths_deg: the directions [d], clockwise from north. changes: each source
+    with what one u of it adds to the values, [n, d]: it is multiplied by one random number for all
+    hours, or by `standards.year_errors` if the source is shared as `MODEL` is; or with m random
+    draws of its error, [m, n, d]. unseen: what the unseen part adds to the figures. unit: that of
+    figures that are not in `UNITS`.
 
-    The figures are no linear functions: u is the rms difference from the estimate of all sources
-    drawn together (JCGM 101:2008), and those of each source alone are scaled so that their squares
-    add up to it. It is NaN for a model that states no error.
+    The figures are no linear functions. So the u of a figure, before `unseen` is added, is the rms
+    difference of 400 draws with errors of all sources from the estimate (JCGM 101:2008). The rms
+    differences with errors of one source alone are scaled so that their squares add up to that of
+    u. Both are NaN for a model that states no error.
     """
     rng, shape, estimate = np.random.default_rng(0), values.shape, figures(values)
 
-    def error(source: Source, change: Floats) -> Floats:
-        """Return one random error of the values by a source, [n, d]."""
+    def random_error(source: Source, change: Floats) -> Floats:
+        """Return one random error of the values by a source, [n, d].
+
+        change: of the source, as in `changes`: [n, d] for one u, or [m, n, d] for m draws.
+        """
         if change.ndim == 3:
             return change[rng.integers(len(change))]
         by_hour = source.shared_by == MODEL.shared_by
         return change * (standards.year_errors(shape, rng) if by_hour else rng.standard_normal())
 
     def spread(drawn: Sequence[dict[str, Floats]]) -> dict[str, Floats]:
-        """Return the rms difference of drawn figures from the estimates, [d] each."""
+        """Return the rms difference of drawn figures from the estimates, by name, [d] each.
+
+        drawn: the figures of each draw, by name, [d] each.
+        """
         off = {name: np.array([draw[name] for draw in drawn]) - estimate[name] for name in estimate}
         return {name: np.sqrt(np.mean(part**2, axis=0)) for name, part in off.items()}
 
     draws = []  # the figures with errors of all sources together, then of each source alone
     for _ in range(standards.DRAWS):
-        errors = [error(source, change) for source, change in changes]
+        errors = [random_error(source, change) for source, change in changes]
         draws.append([figures(values + off) for off in (sum(errors), *errors)])
     total, *parts = (spread(drawn) for drawn in zip(*draws, strict=True))
     sums = {name: np.linalg.norm([part[name] for part in parts], axis=0) for name in estimate}
@@ -284,7 +312,8 @@ COLUMNS = (
 def write_budgets(path: Path, budgets: Iterable[tuple[str, Budget]]) -> None:
     """Write a csv with `COLUMNS`: for each budget a row for each source, and one of the combined u.
 
-    budgets: name of the file that a budget is of, and the budget.
+    An earlier file is replaced. budgets: pairs of the name of the file that a budget is of, such as
+    a picture, and the budget.
     """
     rows: list[tuple[object, ...]] = []
     for file, each in budgets:
@@ -298,17 +327,18 @@ def write_budgets(path: Path, budgets: Iterable[tuple[str, Budget]]) -> None:
 
 
 def read_budgets(path: Path) -> list[dict[str, str]]:
-    """Return the rows that `write_budgets` wrote, as dicts by column; empty for a missing file.
+    """Return the rows that `write_budgets` wrote, as dicts of texts by column.
 
-    Warns if the file was changed after it was written. Raises InputError for other columns or
-    contributions.
+    The list is empty for a missing file. Warns if the file was changed after it was written. Raises
+    InputError for a file that cannot be read or lacks one of `COLUMNS`, and for a direction,
+    contribution or share that is no number.
     """
     if not path.is_file():
         return []
     expected, remedy = "an uncertainty budget", "predict the year again: fieldlum predict"
     rows = [row for _, row in read_table(path, expected, remedy, needed=COLUMNS).dicts()]
     warn_if_changed(path)
-    with input_errors(path, expected, remedy, ValueError):
+    with input_errors(path, expected, remedy, ValueError):  # a text that is no number
         [float(row["azimuth_deg"]) for row in rows]
         [float(row[name] or 0) for row in rows for name in ("contribution", "share_percent")]
     return rows
@@ -317,7 +347,10 @@ def read_budgets(path: Path) -> list[dict[str, str]]:
 def shared_u_rel(panorama: Panorama) -> dict[str, float]:
     """Return the relative standard uncertainties that all pixels of a panorama share, by source.
 
-    Empty if the panorama states none.
+    They are those in the attribute `u_percent`, such as "scale=2 colour=1", divided by 100; empty
+    without the attribute. That of `VEILING_GLARE` is relative to the mean luminance of the picture,
+    the others are relative to a pixel's luminance. Raises ValueError for an attribute of another
+    form.
     """
     words = panorama.attributes.get(U_PERCENT, "").split()
     return {name: float(text) / 100 for name, text in (word.split("=") for word in words)}

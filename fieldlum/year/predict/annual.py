@@ -34,7 +34,10 @@ _UNITS = {"_wm2": "W m-2", "_lx": "lx", "_cdm2": "cd m-2", "_deg": "degree"}
 
 
 def unit_of(name: str) -> str:
-    """Return the unit of a column as CF writes it, by the end of its name; "1" without a unit."""
+    """Return the unit of a column of hourly.csv or pairs.csv as CF writes it; "1" without a unit.
+
+    name: of the column, of which the end decides, such as ``_wm2``; without ``@azimuth``.
+    """
     name = name.removesuffix("_estimate")
     return next((unit for end, unit in _UNITS.items() if name.endswith(end)), "1")
 
@@ -57,9 +60,10 @@ def dataset_of(
 ) -> xr.Dataset:
     """Return the figures of n hours in d view directions as a dataset of xarray.
 
-    hours: figures without a direction by name, [n] each; views: those of each direction, [n, d]
-    each. The coordinates are time, and azimuth in ascending order; each figure has its unit as an
-    attribute.
+    t_utc: aware times [n]; azimuths_deg: the directions [d], clockwise from true north; hours:
+    figures without a direction by name, [n] each; views: those of each direction by name, [n, d]
+    each. The coordinates are time, and azimuth in ascending order; each figure has its unit as the
+    attribute `units`, by the end of its name (`unit_of`).
     """
     import xarray as xr
 
@@ -78,7 +82,8 @@ def dataset_of(
 class Annual(HourlyFile):
     """A predicted year: its n daylight hours in d view directions, with the summary of them.
 
-    folder: that of its files; summary: the content of predict.json.
+    Times, directions and figures are fields of `HourlyFile`. folder: that of the year's files;
+    summary: the content of predict.json.
     """
 
     folder: Path
@@ -88,15 +93,16 @@ class Annual(HourlyFile):
         return len(self.t_utc)
 
     def to_xarray(self) -> xr.Dataset:
-        """Return all columns with their units: hours [time], figures of views [time, azimuth].
+        """Return `hours` [time] and `views` [time, azimuth] as one dataset with units.
 
-        Units are attributes, as CF writes them; coordinates: UTC, and degrees clockwise from north.
+        Each key is a variable. Units are attributes, as CF writes them; coordinates: UTC, and
+        degrees clockwise from north in ascending order.
         """
         return dataset_of(self.t_utc, self.azimuths_deg, self.hours, self.views)
 
     @property
     def about(self) -> JsonTable:
-        """Return the content of predict.json as plain values, without the key `format`."""
+        """The content of predict.json as plain values, without the key `format`."""
         return self.summary.table()
 
     @property
@@ -106,16 +112,18 @@ class Annual(HourlyFile):
 
     @property
     def judged(self) -> Mask:
-        """Mask [d], True for directions with a DGP, of which lenses saw at least half."""
+        """Mask [d], True for directions with a DGP: those of which lenses saw at least half."""
         return np.asarray(np.isfinite(self.views["dgp"]).any(axis=0))
 
 
 class Pictures(NamedTuple):
-    """Maps of k hours for the report, [k, H, W] cd/m2, without the sun's disc.
+    """Maps of k hours for the report.
 
-    kinds: why each hour was chosen, such as "p95 of best view 180" [k]; rows: index of each hour in
-    hourly.csv, from 0 [k]; disc_lx: illuminance of the visible disc on a plane normal to the sun
-    [k]; heading_deg: azimuth of the maps' centre column, clockwise from true north.
+    kinds: why each hour was chosen [k]: "typical", "p95" or "highest", then "of worst view" or "of
+    best view" and its azimuth, such as "p95 of best view 180"; rows: index of each hour in
+    hourly.csv, from 0 [k]; luminance_cdm2: the maps without the sun's disc [k, H, W]; disc_lx:
+    illuminance of the visible disc on a plane normal to the sun [k]; heading_deg: azimuth of the
+    maps' centre column, clockwise from true north.
     """
 
     kinds: tuple[str, ...]
@@ -126,7 +134,10 @@ class Pictures(NamedTuple):
 
 
 def write_pictures(path: Path, pictures: Pictures) -> None:
-    """Write `pictures` to the npz file `path`, with luminances rounded to 0.01 %."""
+    """Write `pictures` to the npz file `path`, with luminances rounded to 0.01 %.
+
+    An earlier file is replaced.
+    """
     maps = rounded(pictures.luminance_cdm2)
     with replacing(path) as file:
         np.savez_compressed(file, **pictures._replace(luminance_cdm2=maps)._asdict())
@@ -148,7 +159,8 @@ def rounded(values: Floats32) -> Floats32:
 def read_annual(folder: Path) -> Annual:
     """Read predict.json and hourly.csv of the predicted year in `folder`.
 
-    Raises InputError if one of them is missing, damaged, or of a newer format.
+    Warns of a file that was changed after it was written. Raises InputError if one of them is
+    missing, damaged, or of a newer format.
     """
     summary = PredictFile.read(folder)
     year = HourlyFile.read(folder, np.array(summary.azimuths_deg), summary.hours)
@@ -156,7 +168,11 @@ def read_annual(folder: Path) -> Annual:
 
 
 def newest_annual(session: Session) -> Annual | None:
-    """Return the predicted year of a session that was written last; None without one."""
+    """Return the session's newest predicted year in annual/; None if it has no year.
+
+    The newest is the one whose predict.json was modified last, by the time of the file. Raises
+    InputError as `read_annual` does.
+    """
     folders = session.annual_folders()
     newest = max(folders, key=lambda f: (f / "predict.json").stat().st_mtime, default=None)
     return None if newest is None else read_annual(newest)

@@ -46,9 +46,10 @@ BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230; chosen
 class HourBlock:
     """The k consecutive hours of a block: their light, predicted maps, and sun.
 
-    rows: place of the hours among all hours of the year; prediction: its maps [k, H, W] cd/m2 have
-    no sun disc; disc_lx: illuminance by the part of the disc that the lens sees, on a plane normal
-    to the sun [k] lx; images: the sun's image in each mirror of the room.
+    rows: places of the hours among all hours of the year, or of the `Light` that `blocks` got;
+    prediction: its maps [k, H, W] cd/m2 have no sun disc; disc_lx: illuminance by the part of the
+    disc that the lens sees, on a plane normal to the sun [k] lx; images: the sun's image in each
+    mirror of the room.
     """
 
     rows: slice
@@ -86,11 +87,13 @@ class HourBlock:
 class ModelRoom:
     """Site and room for which a model was trained, the size of its maps, and mirrors of the sun.
 
+    setup: the SITE.toml of the model, with site and room; height, width: of the maps, H and W [px];
     heading_deg: azimuth of the maps' centre column, clockwise from true north; needs_patch: whether
     the model needs maps of sun patches; seen [H, W]: True for pixels that a lens saw, None if all
-    were seen; sky_view: that of the model's captures, None for a model of an earlier version;
-    sky_view_file: name of the file if another sky view replaces it; pose: the camera's in the
-    captures, from which the sun's place in the maps follows.
+    were seen; mirrors: plane mirrors in the room that show the sun; sky_view: that of the model's
+    captures, None for a model of an earlier version; sky_view_file: name of the file if another sky
+    view replaces it, else ""; pose: the camera's in the captures, from which the sun's place in the
+    maps follows.
     """
 
     setup: SiteFile
@@ -111,10 +114,10 @@ class ModelRoom:
 
 
 def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
-    """Return the room of the model in `folder`.
+    """Return the room of the model in `folder`; config: the content of its config.json.
 
-    Raises InputError if the config lacks the site, size or heading, if the site or the mirrors are
-    damaged, or if the model needs sun patches and the site has no room.
+    Raises InputError if the config lacks the site, size or heading, if the site, the mirrors or the
+    sky view is damaged, or if the model needs sun patches and the site has no room.
     """
     height, width, heading = config.height, config.width, config.heading_deg
     if height <= 0 or width <= 0 or heading is None or not config.setup:
@@ -147,11 +150,12 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
 def blocks(
     fitted: Fitted, room: ModelRoom, light: Light, disc: Floats | None = None
 ) -> Iterator[HourBlock]:
-    """Predict all hours of `light`, and yield them in blocks of 64; the last may be shorter.
+    """Predict all n hours of `light`, and yield them in blocks of 64; the last may be shorter.
 
-    disc: illuminance of the sun's disc, normal to it [n] lx; None to compute it for the room.
-    Raises InputError if the size of the maps differs from that in config.json, FloatingPointError
-    for luminances that are not finite.
+    fitted, room: the model and its room. disc: illuminance of the sun's disc, on a plane normal to
+    it [n] lx; None to compute it for the room (`disc_lx`). Each block is predicted when it is
+    requested. Raises InputError if the size of the maps differs from that in config.json or for an
+    impossible room, FloatingPointError for luminances that are not finite.
     """
     count, space = len(light), room.setup.room
     disc = disc_lx(room.sky_view, room.setup, light) if disc is None else disc  # [n]
@@ -187,8 +191,9 @@ def map_coordinates(
     """Return xarray coordinates of maps [n, height, 2 height].
 
     Keys: time (UTC), y (altitude of each row, deg), x (azimuth of each column, deg clockwise from
-    true north, from 360 on after it, so that they ascend as xarray's plots need); values:
-    (dimension, array, attributes). heading_deg: azimuth of the centre column.
+    true north, above 360 beyond it, so that they ascend as xarray's plots need); values:
+    (dimension, array, attributes). t_utc: aware times [n]; heading_deg: azimuth of the centre
+    column.
     """
     azimuths = np.unwrap(column_azimuths_deg(2 * height, heading_deg), period=360.0)
     return {
@@ -201,8 +206,9 @@ def map_coordinates(
 def begin_maps(folder: Path, hours: int, room: ModelRoom) -> Path:
     """Create a draft store of maps in `folder`, all NaN, [hours, H, W], and return its path.
 
-    hours: number of the year's hours; room: has the size H, W of the maps. Units of work write maps
-    in parallel into it with `write_maps`; `finish_maps` renames it to maps.zarr.
+    hours: number of the year's hours; room: has the size H, W of the maps. An earlier draft is
+    replaced. Units of work write maps in parallel into the draft with `write_maps`; `finish_maps`
+    renames it to maps.zarr.
     """
     import zarr
 
@@ -222,10 +228,10 @@ def begin_maps(folder: Path, hours: int, room: ModelRoom) -> Path:
 
 
 def write_maps(store: Path, start: int, maps: Floats32) -> None:
-    """Write maps [n, H, W] cd/m2 into the store, rounded to 0.01 %.
+    """Write maps [n, H, W] cd/m2 into a store of `begin_maps`, rounded to 0.01 %.
 
-    start: index of the first of these hours in the year, from 0; a multiple of 64, because each
-    shard has 64 hours.
+    start: index of the first of these n hours in the year, from 0. It must be a multiple of 64, and
+    n at most 64, so that no other process writes into the same shard, which has 64 hours.
     """
     import zarr
 
@@ -265,9 +271,10 @@ def finish_maps(folder: Path, annual: Annual, room: ModelRoom) -> None:
 class HourFigures(NamedTuple):
     """Figures of n consecutive hours of a year, in d view directions.
 
-    hours: columns of hourly.csv without a direction, [n] each, with `occupied` 0; views: those for
-    each direction, [n, d] each, NaN in directions of which lenses saw less than half, and the
-    further keys of `glare_directions`; uncertainty: what is uncertain about DGP.
+    hours: columns of hourly.csv without a direction, by name, [n] each, with `occupied` 0; views:
+    those for each direction, by name, [n, d] each, NaN in directions of which lenses saw less than
+    half, and the further keys of `glare_directions`; with colours also those of
+    `MelanopicYear.figures`. uncertainty: what is uncertain about DGP.
     """
 
     hours: dict[str, Array]
@@ -276,10 +283,16 @@ class HourFigures(NamedTuple):
 
 
 def joined(parts: Sequence[HourFigures]) -> HourFigures:
-    """Return the figures of all hours of the parts, which are in the order of time."""
+    """Return the figures of the hours of all parts, in the order of the parts.
+
+    parts: at least one; all with the same keys and view directions.
+    """
 
     def together(tables: Sequence[dict[str, Array]], axis: int = 0) -> dict[str, Array]:
-        """Return the arrays of all tables by name, joined along the axis of the hours."""
+        """Return the arrays of the same name in all tables as one array, by name.
+
+        axis: of the hours, along which they are joined.
+        """
         return {k: np.concatenate([table[k] for table in tables], axis) for k in tables[0]}
 
     hours, views, doubts = zip(*parts, strict=True)
@@ -289,10 +302,16 @@ def joined(parts: Sequence[HourFigures]) -> HourFigures:
 
 
 class HourJudge:
-    """The view directions of a room, for which figures of predicted hours are computed."""
+    """The view directions of a room, for which figures of predicted hours are computed.
+
+    views: weights of the pixels of the room's maps for each direction.
+    """
 
     def __init__(self, room: ModelRoom, azimuths_deg: Floats) -> None:
-        """Compute weights and coverage of horizontal view directions azimuths_deg [d]."""
+        """Compute weights and coverage of horizontal view directions.
+
+        azimuths_deg: the directions [d], clockwise from north.
+        """
         size, self._pose = (room.height, room.width, room.heading_deg), room.pose
         self.views = panorama_views(*size, azimuths_deg, room.seen)
         self._coverage = metrics.view_coverage(self.views)
@@ -302,13 +321,16 @@ class HourJudge:
         """Return the glare of k hours in d view directions, by column of hourly.csv, [k, d] each.
 
         The result also has the further keys of `glare_directions`. It has no uncertainties, and
-        nothing of measured colour.
+        nothing of measured colour: melanopic_edi_lx_estimate is the vertical illuminance, as if the
+        light had the spectrum of D65.
         """
         maps, light, images = block.prediction.luminance_cdm2, block.light, block.images
         sun = self._pose.in_pictures(light.apparent_sun_direction)
         suns = np.stack([sun, *(image.towards for image in images)])
         suns_lx = np.stack([block.disc_lx, *(image.shown_lx for image in images)])
         figures = metrics.glare_directions(maps, self.views, suns, suns_lx)
+        # The ratio of melanopic to photopic light is assumed to be 1, as for D65. A copy, so that
+        # no two columns share an array: `figures` sets parts of them to NaN in place.
         figures["melanopic_edi_lx_estimate"] = figures["ev_lx"].copy()
         return figures | metrics.region_ratios(maps, self._regions)
 
@@ -317,8 +339,9 @@ class HourJudge:
     ) -> HourFigures:
         """Return all figures of the k hours of a block, with their uncertainty.
 
-        discs_lx: illuminance of the sun's disc [m, k] in m random draws of its visibility;
-        melanopic: colours by the captures, None without any.
+        discs_lx: illuminance of the sun's disc [m, k] in m random draws of its visibility, the
+        second result of `discs_of` for these hours; melanopic: colours by the captures, None
+        without any. dgp_low and dgp_high are the ends of the 95 % interval of DGP.
         """
         views, light, coverage, figures = self.views, block.light, self._coverage, self.glare(block)
         u_map_rel, u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
@@ -374,10 +397,11 @@ def relative_uncertainty(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the relative standard uncertainties of the map's Ev, of Ev, and of the sources.
 
-    All are [k, d], of k hours in d directions, and NaN where the model does not state its error.
-    Errors of the pixels of one picture count as fully correlated, because a model is often too
-    bright or too dark on a complete wall. The disc has 5 %. views: weights of the pixels; figures:
-    the result of `glare_directions` for the block.
+    The map's Ev is Ev without sun and images of the sun; that of the sources is of their luminance
+    in the contrast of DGP. All are [k, d], of k hours in d directions, and NaN where the model does
+    not state its error. Errors of the pixels of one picture count as fully correlated, because a
+    model is often too bright or too dark on a complete wall. The sun's disc has 5 % (`U_DISC`).
+    views: weights of the pixels; figures: the result of `glare_directions` for the block.
     """
     predicted, maps = block.prediction, block.prediction.luminance_cdm2
     if predicted.log10_sd is None:
@@ -416,8 +440,9 @@ def room_figures(
 ) -> HourFigures:
     """Predict the n hours of `light` in this process, and return their figures in d directions.
 
-    azimuths_deg: the directions [d], clockwise from north. Raises InputError for maps of a size
-    other than in config.json, FloatingPointError for luminances that are not finite.
+    azimuths_deg: the directions [d], clockwise from north. The random draws are those of seed 0;
+    nothing is written. Raises InputError for maps of a size other than in config.json or an
+    impossible room, FloatingPointError for luminances that are not finite.
     """
     best_lx, discs_lx = discs_of(room, light, seed=0)
     judge, hours = HourJudge(room, azimuths_deg), blocks(fitted, room, light, best_lx)
@@ -425,10 +450,12 @@ def room_figures(
 
 
 def discs_of(room: ModelRoom, light: Light, seed: int) -> tuple[Floats, Floats]:
-    """Return the sun disc's illuminance in n hours [n] lx, and random draws of it [m, n] lx.
+    """Return the sun disc's illuminance in n hours [n] lx, and m = 64 random draws of it [m, n] lx.
 
     It is that of the part that the lens sees, on a plane normal to the sun; 0 where the disc is
-    hidden. seed: for the random numbers.
+    hidden. The first is the most likely one (`disc_lx`). Each draw varies the sky view, the
+    camera's pose and the beam's luminous efficacy within their uncertainties (`drawn_discs_lx`).
+    seed: for the random numbers. Raises InputError for an impossible room.
     """
     rng = np.random.default_rng([seed, 2])
     view, setup = room.sky_view, room.setup
@@ -476,11 +503,12 @@ def predict_figures(
 ) -> HourFigures:
     """Predict every hour of `light`, and return the figures in d view directions.
 
-    room: that of the model in model_folder; azimuths_deg [d]: the directions; store: result of
-    `begin_maps`, None to write no maps; melanopic: colours by the captures, None without any; seed:
-    for random draws; scheduler: runs the units of work, each of 64 hours, the last of the rest.
-    Raises InputError for maps of a size other than in config.json, FloatingPointError for
-    luminances that are not finite.
+    room: that of the model in model_folder; light: of the n hours of the year, at least one;
+    azimuths_deg [d]: the directions, clockwise from north; store: result of `begin_maps`, into
+    which the maps are written, None to write none; melanopic: colours by the captures, None without
+    any; seed: for random draws; scheduler: runs the units of work, each of 64 hours, the last of
+    the rest. Raises InputError for maps of a size other than in config.json or an impossible room,
+    FloatingPointError for luminances that are not finite, and the errors of `run_each`.
     """
     model = model_folder.resolve()
     # the units' folder, from which workers find the model and the store of the maps
@@ -498,6 +526,7 @@ def predict_figures(
     parts: dict[str, HourFigures] = {}
 
     def take(outcome: UnitOutcome) -> None:
+        """Store the figures of a unit in `parts`; raise its error if it failed."""
         parts[outcome.unit.name] = outcome.result()
 
     run_each(units, scheduler, take)
@@ -508,7 +537,8 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
     """Predict the hours of a unit of work, write their maps, and return their figures.
 
     Without `job.store` no maps are written. folder: that of the unit, to which the paths in `job`
-    are relative.
+    are relative; job: the hours, at most 64, and what is needed for them. Raises InputError for a
+    model that cannot be used, FloatingPointError for luminances that are not finite.
     """
     fitted, room, judge = _prepared(folder / job.model, job.digest, job.azimuths_deg)
     (block,) = blocks(fitted, room, job.light, job.disc_lx)

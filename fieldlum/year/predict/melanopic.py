@@ -48,10 +48,12 @@ class MelanopicYear:
     """A fit of the ratio of melanopic to photopic light to n captures, in d view directions.
 
     kernel, captured : covariance between hours, and the captures' features; coefficients [n, d] :
-    kernel(hours, captured) @ coefficients is Ev over the total light outside. u_camera_rel :
-    relative standard uncertainty by each part of the camera's calibration. weights [4] : those of
-    an overcast sky, of a sky's clearness, of the sun and of lamps; factors [d] : one for each
-    direction; u_fit_rel : relative standard uncertainty by days held out.
+    kernel(hours, captured) @ coefficients is vertical illuminance over the total light outside.
+    u_camera_rel : relative standard uncertainty by name of each part of the camera's calibration.
+    weights [4] : ratio of the light of an overcast sky, what a clear sky adds to it, ratio of the
+    sun over `sun_melanopic_ratio`, and ratio of lamps; factors [d] : of the ratio in each
+    direction, for the colours of glass and walls; u_fit_rel : relative standard uncertainty of the
+    ratio by days held out.
     """
 
     kernel: Kernel
@@ -70,11 +72,12 @@ class MelanopicYear:
     def shares(self, light: Light) -> tuple[Floats, Floats]:
         """Return the shares (0 to 1) of the sun and of lamps in the light at the eye, [n, d] each.
 
-        They are what the same kernel lacks in the same hours without the sun, or without lamps.
+        light : of n hours. The shares are what the kernel's prediction for the same hours lacks
+        without the sun, or without lamps.
         """
 
         def ev_lx(light: Light) -> Floats:
-            """Return the vertical illuminance that the kernel predicts, [n, d]."""
+            """Return the vertical illuminance that the kernel predicts for n hours, [n, d]."""
             values = self.kernel(_features(light), self.captured) @ self.coefficients
             return np.maximum(values, 0.0) * light.total_lx[:, None]
 
@@ -84,7 +87,10 @@ class MelanopicYear:
         return np.minimum(sun, 1.0 - lamp), lamp
 
     def ratio(self, light: Light) -> Floats:
-        """Return the ratio of melanopic to photopic light in n hours by their colour, [n, d]."""
+        """Return melanopic EDI over vertical illuminance in n hours, by the fit alone, [n, d].
+
+        It does not contain `LAMP_RATIO`, for the spectra of lamps (see `figures`).
+        """
         return _parts(light, *self.shares(light)) @ self.weights * self.factors
 
     def figures(
@@ -92,12 +98,13 @@ class MelanopicYear:
     ) -> dict[str, Floats]:
         """Return melanopic EDI [lx] of n hours in d directions and its standard uncertainty.
 
-        Arrays are [n, d]. The keys melanopic_edi_lx and u_melanopic_edi_lx are columns of
-        hourly.csv; the others are parts of both, for the budget. views : figures of the hours, with
-        `ev_lx` and `sun_ev_lx`; u_map_rel : relative standard uncertainty of the map's part of
-        `ev_lx`; drawn_lx [m, n, d] : Ev in m draws of the sun's disc; unseen_lx : the most that the
-        unseen part of the view adds to Ev. With a lamp on, the ratio of melanopic to photopic light
-        is `LAMP_RATIO` of that by colour. An hour that is not marked lamp=off may have one.
+        Arrays are [n, d], but edi_by_disc_lx is [n, d, m]. The keys melanopic_edi_lx and
+        u_melanopic_edi_lx are columns of hourly.csv; the others are parts of both, for
+        `edi_budget`. views : figures of the hours, with `ev_lx` and `sun_ev_lx`; u_map_rel :
+        relative standard uncertainty of the map's part of `ev_lx`; drawn_lx [m, n, d] : Ev in m
+        draws of the sun's disc; unseen_lx : the most that the unseen part of the view adds to Ev.
+        With a lamp on, the ratio of melanopic to photopic light is `LAMP_RATIO` of that by colour.
+        The uncertainty allows for a lamp in each hour that is not marked lamp=off.
         """
         by_colour, states = self.ratio(light), light.states or ("",) * len(light)
         may_be_lit = np.array([[LAMP_OFF not in text] for text in states])
@@ -154,15 +161,15 @@ def fit_year(
     """Fit the ratio of melanopic to photopic light to n captures in d view directions.
 
     light : that of the captures; ev_lx, edi_lx : vertical illuminance and melanopic EDI without the
-    sun's disc, [n, d]; u_camera_rel : relative standard uncertainty by each part of the camera's
-    calibration; facades : those of the room. The uncertainty is the error for days that were held
-    out, 10 % if all captures are of one day.
+    sun's disc, [n, d], ev_lx above 0; u_camera_rel : relative standard uncertainty by name of each
+    part of the camera's calibration; facades : those of the room. The fit's uncertainty is the rms
+    error for days (UTC) that were held out; 10 % (chosen) if all captures are of one day.
     """
     ratio, errors = edi_lx / ev_lx, []
     day = np.array([t.toordinal() for t in light.t_utc])
 
     def fitted(rows: Mask) -> MelanopicYear:
-        """Return the fit to some of the captures, a mask [n]."""
+        """Return the fit to some of the captures; rows: mask [n], True for those."""
         kernel, used = Kernel(facades), light[rows]
         features = _features(used)
         # The variance of a capture is the middle one of the transport model's `NOISES`.
@@ -209,7 +216,11 @@ def _without_sun(light: Light) -> Light:
 
 
 def has_colour(pairs: Path) -> bool:
-    """Return whether the first picture of a pairs.csv has melanopic colour."""
+    """Return whether the first usable picture of a pairs.csv has melanopic colour.
+
+    pairs: path of the file; False if it, or the picture, is missing. Raises InputError for a
+    damaged one.
+    """
     named = [row.panorama for row in PairsFile.find(pairs).usable if row.panorama]
     path = pairs.parent / (named or [""])[0]
     return path.is_file() and melanopic.melanopic_ratio(read_panorama(path)) is not None
@@ -220,8 +231,10 @@ def year_of_captures(
 ) -> MelanopicYear:
     """Fit the ratio of melanopic to photopic light to the pictures of a pairs.csv.
 
-    room: that of the model, whose pose the pictures have; azimuths_deg: the view directions [d];
-    u_camera_rel: relative standard uncertainty by each part of the camera's calibration. Raises
+    pairs: path of the file; at most 80 of its usable pictures are read. Pictures with the sun in
+    the map are left out. room: that of the model, whose pose the pictures have; azimuths_deg: the
+    view directions [d], clockwise from north; u_camera_rel: relative standard uncertainty by name
+    of each part of the camera's calibration. Raises InputError for a damaged file,
     NotEnoughDataError if no picture has melanopic colour.
     """
     views = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg, room.seen)
@@ -258,9 +271,10 @@ ENOUGH_DAYS = tuple(f"mEDI of {limit:.0f} lx or more, days 09:00 to 13:00" for l
 
 @dataclass(frozen=True, slots=True)
 class YearHours:
-    """The times of n daylight hours: `hour` of the day, and `day` counted from 0, [n] each.
+    """The times of n daylight hours, in local standard time.
 
-    Both are of local standard time. days: number of all days, also of those without daylight hours.
+    hour: of the day, 0 to 23, in which the moment is [n]; day: number of days since the earliest
+    one [n]. days: number of all days of the year, also of those without daylight hours.
     """
 
     hour: Array
@@ -269,7 +283,10 @@ class YearHours:
 
     @classmethod
     def of(cls, t_utc: Sequence[datetime], zone: str, days: int) -> YearHours:
-        """Return the times t_utc [n] as `YearHours`; zone: IANA name of their time zone."""
+        """Return the times t_utc [n] as `YearHours`.
+
+        zone: IANA name, for standard time; days: as the field, of which at least 1 is used.
+        """
         local = [standard_time(t, zone) for t in t_utc]
         hour, day = np.array([(t.hour, t.toordinal()) for t in local]).reshape(-1, 2).T
         return cls(hour, day - day.min(initial=day.max(initial=0)), max(days, 1))
@@ -277,8 +294,10 @@ class YearHours:
     def shares(self, edi_lx: Floats) -> dict[str, Floats]:
         """Return shares of the year with enough melanopic light [%], by name, [d] each.
 
-        edi_lx [n, d]. `ENOUGH_HOURS` is of the hours from 06:00 to 19:00; `ENOUGH_DAYS` are of the
-        days on which all four hours from 09:00 to 13:00 have enough. Hours in the dark count as
+        edi_lx [n, d]: melanopic EDI of the hours in d view directions. The key `ENOUGH_HOURS` is
+        the share of the hours from 06:00 to 19:00 with at least 250 lx (Brown et al. 2022). Each
+        key of `ENOUGH_DAYS` is the share of the days on which all four hours from 09:00 to 13:00
+        have at least its limit, 109, 136, 163 or 250 lx (WELL v2, L03). Hours in the dark count as
         without light. A direction without any EDI has NaN.
         """
         first, last = BROWN_HOURS
@@ -298,10 +317,11 @@ class YearHours:
 def edi_budget(
     colours: MelanopicYear, views: Figures, hours: YearHours, azimuths_deg: Floats
 ) -> list[budget.Budget]:
-    """Return the uncertainty budgets of `YearHours.shares`, for each of d view directions.
+    """Return the uncertainty budgets of `YearHours.shares` in %, for each of d view directions.
 
-    views: results of `colours.figures` for all hours; azimuths_deg: the directions [d]. The budgets
-    do not contain that another year has other weather.
+    colours: the fit; views: results of `colours.figures` for all n hours, by key; hours: the times
+    of these hours; azimuths_deg: the directions [d], clockwise from north. The budgets do not
+    contain that another year has other weather.
     """
     edi, of_map = views["melanopic_edi_lx"], views["edi_of_map_lx"]
     share, of_sun, u_sun = budget.of_share, edi - of_map, melanopic.U_SUN_RATIO

@@ -28,9 +28,9 @@ EXPECTED = (
 class Occupancy:
     """When the room is used; `text` describes it for the reader.
 
-    periods: weekday (0 is Monday), start (included) and end (excluded) in local clock time. hourly,
-    if set, replaces them: a mask [8760], True if used, from 1 January 00:00 in local standard time,
-    without 29 February.
+    periods: weekday (0 is Monday), start (included) and end (excluded) in local clock time of each;
+    without periods the room is never used. hourly, if set, replaces them: a mask [8760], True if
+    used, from 1 January 00:00 in local standard time, without 29 February.
     """
 
     text: str
@@ -62,8 +62,11 @@ def default_occupancy() -> Occupancy:
 def read_occupancy(path: Path | None) -> Occupancy:
     """Read a csv of when the room is used; None gives `default_occupancy`.
 
-    Its columns are days, start and end (mon-fri,08:00,18:00), or it has a column `occupied` with
-    8760 rows of 0 or 1, for the hours of local standard time from 1 January 00:00.
+    Its columns are days, start and end, with a row for each period (mon-fri,08:00,18:00). days:
+    English weekdays, in short or in full, or ranges of them, separated by blanks ("mon-wed fri").
+    start, end: local clock time; end is after start, and 24:00 ends the day. Or the file has a
+    column `occupied` with 8760 rows of 0 or 1, for the hours of local standard time from 1 January
+    00:00, without 29 February.
 
     Raises InputError for a file that cannot be read, or for other content.
     """
@@ -130,9 +133,10 @@ def occupied_hours(
 ) -> tuple[int, int]:
     """Return the number of occupied hours on the days of a weather file, and the number of days.
 
-    times_utc: middles of the hours with weather; days are dates in local standard time at the site.
-    Occupied hours in the dark count. An hour with the sun up but without weather does not count,
-    because it would look like an hour without glare. Raises NotEnoughDataError if no hour counts.
+    times_utc: middles of the hours with weather, aware; at least one. Days are dates in local
+    standard time at the site. Occupied hours in the dark count. An hour with the sun up but without
+    weather does not count, because it would look like an hour without glare. Raises
+    NotEnoughDataError if no hour counts.
     """
     zone = site.timezone
     days = sorted({standard_date(t, zone) for t in times_utc})

@@ -47,7 +47,10 @@ from fieldlum.year.predict.occupancy import Occupancy, occupied_hours, read_occu
 
 
 class PredictedYear(NamedTuple):
-    """The result of `run`: a predicted year; new is False if it already existed in the folder."""
+    """The result of `run`.
+
+    annual: the predicted year; new: False if it already existed in the output folder.
+    """
 
     annual: Annual
     new: bool
@@ -71,17 +74,21 @@ def run(
     """Predict all daylight hours of a weather file with a trained model, and write the year.
 
     A year with the same inputs that exists in the output folder is returned instead, unless
-    `force`.
+    `force`. Otherwise an earlier year there is replaced; after an interruption the folder has no
+    predict.json, and so no year.
 
-    out: output folder; None: `default_folder`. views: number of view directions around the horizon.
-    maps: also write all maps. occupancy_path: csv of the occupied hours; None: EN 17037's. seed: of
-    random draws. lamps: "" as in the captures; "off"; or a csv as for occupancy, with the hours in
-    which lamps that are marked in the captures are on. sky_view: a sky_view.exr in place of the
-    model's. label_shift_min: minutes added to the times of the weather file.
+    weather_path: a file as for `read_weather`, or "synthetic". out: output folder; None:
+    `default_folder`. views: number of horizontal view directions at equal steps, from the maps'
+    heading. maps: also write all maps. occupancy_path: csv of the occupied hours
+    (`read_occupancy`); None: EN 17037's. seed: of random draws. lamps: "" as in the captures;
+    "off"; or the path of a csv as for occupancy, with the hours in which lamps that are marked in
+    the captures are on. sky_view: a sky_view.exr in place of the model's. label_shift_min: minutes
+    added to the times of the weather file. scheduler: runs the units of work, of 64 hours each.
 
     Raises InputError for a file, folder or model that cannot be used, or if place, camera, room or
     pictures of model and session differ; NotEnoughDataError for weather without daylight or without
-    occupied hours; FloatingPointError if a map is not finite.
+    occupied hours, or if the first picture has melanopic colour but none that can be used has it;
+    FloatingPointError if a map is not finite.
     """
     config, session = read_config(model_folder), session_of(model_folder)
     room = hour_blocks.room_of(config, model_folder)
@@ -219,8 +226,9 @@ def _write(annual: Annual, budgets: list[budget.Budget], pictures: Pictures, zon
 def camera_u_rel(session: Session) -> dict[str, float]:
     """Return the relative standard uncertainties that all captures share, by part of the camera.
 
-    They are those in the newest panorama, without that of the exposures, which each bracket has for
-    itself; empty if no panorama states any.
+    The names of parts and the values are those of `shared_u_rel` of the newest panorama, without
+    "exposures", whose error each bracket has for itself. The result is empty if neither this
+    panorama nor the newest sidecar states any. Raises InputError if one of the two is damaged.
     """
     files, sidecar = session.panorama_files(), newest_sidecar(session)
     stated = budget.shared_u_rel(read_panorama(files[-1])) if files else {}
@@ -263,9 +271,10 @@ def _daylight(weather: Weather, path: Path, lamps: Occupancy | None) -> Light:
 def report_hours(annual: Annual) -> Iterator[tuple[str, int]]:
     """Yield the name of each hour to show in the report, and its index in the year, from 0.
 
-    These are the hours with the median, the 95th percentile and the highest DGP of the occupied
-    hours (all hours if none is occupied), first for the direction with the most glare, then for
-    that with the least. An hour can occur twice.
+    A name is such as "p95 of worst view 180" (`Pictures.kinds`). These are the hours with the
+    median, the 95th percentile and the highest DGP of the occupied hours (all hours if none is
+    occupied), first for the direction with the most glare, then for that with the least
+    (`best_and_worst`). An hour can occur twice. There is none if no direction was seen.
     """
     used = np.flatnonzero(annual.occupied) if annual.occupied.any() else np.arange(len(annual))
     dgp = annual.views["dgp"][used]
@@ -281,8 +290,9 @@ def report_hours(annual: Annual) -> Iterator[tuple[str, int]]:
 def report_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
     """Predict the maps of `report_hours` again, and return them in that order.
 
-    They are predicted again because all maps of a year would need a gigabyte of memory. fitted,
-    room: the model and its room; light, annual: the light of all hours, and their results.
+    They are predicted again because all maps of a year would need a gigabyte of memory. They
+    contain images of the sun in mirrors. fitted, room: the model and its room; light, annual: the
+    light of all n hours of the year, and their results. Raises the errors of `hour_blocks.blocks`.
     """
     kinds, hours = [list(part) for part in zip(*report_hours(annual), strict=True)] or ([], [])
     rows, at = np.unique(np.array(hours, np.int64), return_inverse=True)
@@ -298,7 +308,10 @@ def report_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annua
 
 
 def session_of(model_folder: Path) -> Session | None:
-    """Return the session that a model folder is in; None if it is elsewhere."""
+    """Return the session of a model in its folder models/; None for a model elsewhere.
+
+    Raises InputError if the session cannot be opened.
+    """
     models = model_folder.resolve().parent
     in_session = models.name == "models" and (models.parent / "session.toml").is_file()
     return open_session(models.parent) if in_session else None
@@ -308,7 +321,7 @@ def default_folder(model_folder: Path) -> Path:
     """Return where a model's predicted year is stored by default.
 
     This is SESSION/annual/NAME for a model in SESSION/models/NAME, else `annual` in the model's
-    folder.
+    folder. The path is relative if `model_folder` is. Raises InputError as `session_of` does.
     """
     if session_of(model_folder) is None:
         return model_folder / "annual"
@@ -355,8 +368,11 @@ def _differences(
 def is_model_outdated(session: Session, config: ModelConfig, view: SkyView | None) -> bool:
     """Return whether a session's pictures, irradiance or times are not those of a model's training.
 
-    The inputs of both sky views decide. Captures that were added since do not count. view: that of
-    the model; if it was computed from other captures (train --sky-view), the answer is False.
+    It compares the inputs that the session's sky view and the model's sky view state. config: of
+    the model. view: the sky view in the model's folder. Captures that were added to the session
+    since do not count. The answer is False if the inputs cannot be compared: without one of the sky
+    views, or if that of the model was computed from other captures (train --sky-view). Raises
+    InputError for a damaged sky view of the session.
     """
     own = SkyView.find(session.sky_view)
     if own is None or view is None or not view.inputs:
@@ -369,10 +385,12 @@ def is_model_outdated(session: Session, config: ModelConfig, view: SkyView | Non
 
 
 def is_current(session: Session, annual: Annual) -> bool:
-    """Return whether a year's model is the present one, and is of the session as it is now.
+    """Return whether a year was predicted with the present model and from the present session.
 
-    It is also True if the session does not have the model any more, because then nothing can be
-    compared.
+    It is False if the model in models/ was trained again since, or if place, camera, room or
+    pictures of the session are now others than those of the model. It is True if the session does
+    not have the model any more, because then nothing can be compared. Raises InputError for a
+    damaged model or session.
     """
     used = annual.summary.inputs
     folder = session.models / str(used["model"])
@@ -438,10 +456,11 @@ _UNSEEN_NOTES = {
 def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, Mask]:
     """Return masks [n] of the occupied hours with an untrusted map, and of others with a wide DGP.
 
-    annual: n hours in d directions; dark hours need no test, because it has none. rows: one for
-    each direction, of which `seen` is used. DGP is wide if its 95 % interval is over 0.2 wide in a
-    direction that lenses saw fully; if they saw none fully, in one that has a DGP (at least half
-    seen). An interval that is NaN, because bounds are unknown, is not wide.
+    annual: n daylight hours in d directions. rows: one for each direction, of which `seen` is used.
+    An hour has a wide DGP if its 95 % interval is over 0.2 wide in a direction that lenses saw
+    fully; if they saw none fully, in one that has a DGP (at least half seen). An interval that is
+    NaN, because bounds are unknown, is not wide. The limit of 0.2 is chosen: such an interval spans
+    all classes (EN 17037: 0.35 to 0.45).
     """
     untrusted = annual.occupied & (annual.hours["trusted"] < 1)
     full = [row.seen == projection.SEEN for row in rows]
@@ -452,9 +471,10 @@ def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, M
 
 
 def are_full_years(days: int) -> bool:
-    """Return whether a number of days is that of full years, of which up to five days may lack.
+    """Return whether a number of days is within 6 days of one or more full years of 365.25 days.
 
-    With half a year more, its season would count twice in the classes.
+    The margin is chosen, for files that lack some days. With half a year more, its season would
+    count twice in the classes.
     """
     return days > 300 and (days + 6) % 365.25 < 12.0
 
@@ -503,20 +523,21 @@ def _notes(
 def best_and_worst(rows: Sequence[DirectionYear]) -> tuple[DirectionYear, DirectionYear] | None:
     """Return the directions with the least and with the most glare; None if none has a class.
 
-    The order is by the DGP exceeded in 5 % of the occupied hours, then by the hours above the
-    limits. To be the best, a partly seen direction counts with the upper end of its interval (1 if
-    unknown), so that an unseen part never makes a direction a recommendation.
+    rows: one for each direction. The order is by the DGP exceeded in 5 % of the occupied hours,
+    then by the sum of the hours above the three limits. To be the best, a partly seen direction
+    counts with the upper end of its interval (1 if unknown), so that an unseen part never makes a
+    direction a recommendation.
     """
     judged = [row for row in rows if row.glare_class != projection.NOT_SEEN]
     if not judged:
         return None
 
     def glare(row: DirectionYear) -> tuple[float, int]:
-        """Return the exceeded DGP of a direction, and its number of hours above the limits."""
+        """Return the exceeded DGP of a direction, and the sum of its hours above the limits."""
         return row.dgp_exceeded or 0.0, sum(count or 0 for count in row.hours_over.values())
 
     def as_best(row: DirectionYear) -> tuple[float, int]:
-        """Return `glare`; for a direction that was not fully seen with the end of its interval."""
+        """Return `glare`; for a partly seen direction with the upper end of its interval as DGP."""
         upper = 1.0 if row.high is None else row.high
         return glare(row) if row.seen == projection.SEEN else (upper, glare(row)[1])
 
