@@ -80,11 +80,12 @@ def _facts(
 
 
 def run(session: Session, out: Path | None = None, *, for_assessor: bool = False) -> Path:
-    """Write index.html into `out`, by default report/, and return its path.
+    """Write index.html into `out`, by default the session's report/, and return its path.
 
-    It shows the newest predicted year and the model of it. for_assessor: write assessor.html
-    instead. Raises NotEnoughDataError if the session has no pairs.csv yet, InputError for results
-    that cannot be read, and for an assessor also without a predicted year.
+    It shows the newest predicted year and the model that predicted it. for_assessor: write
+    assessor.html instead. Temporary files of killed runs in `out` are removed. Raises
+    NotEnoughDataError if the session has no pairs.csv yet, or for an assessor no predicted year;
+    InputError for results that cannot be read.
     """
     if not session.pairs.is_file():
         remedy = "run fieldlum merge and fieldlum pair first"

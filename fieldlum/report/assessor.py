@@ -105,7 +105,8 @@ def assessor_page(session: Session, annual: Annual | None, model: Path | None) -
     """Return the page for an assessor as HTML.
 
     annual: the predicted year; model: folder of the model, whose scores are shown, None if it is
-    missing. Raises NotEnoughDataError if there is no predicted year.
+    missing. Raises NotEnoughDataError if there is no predicted year, InputError for a session or
+    results that cannot be read. A camera profile that cannot be read is only named on the page.
     """
     if annual is None:
         raise NotEnoughDataError(f"{session.root}: no predicted year; run fieldlum predict first")

@@ -45,9 +45,10 @@ class _Tables:
 
 
 class CampaignFile(NamedTuple):
-    """The content of a CAMPAIGN.toml: its name, and the folders of its sessions.
+    """The content of a CAMPAIGN.toml.
 
-    path: of the file; the folders are relative to its folder.
+    path: of the file; name: of the campaign; sessions: folders of its sessions, relative to the
+    folder of the file, or absolute.
     """
 
     path: Path
@@ -82,11 +83,13 @@ def read_campaign(path: Path) -> CampaignFile:
 class RoomOverview:
     """What the page shows about one room.
 
-    session: folder. broken: why the room could not be read, "" if it could. captured, planned:
-    numbers of slots.
-    to_do: slots that can still be captured. usable: rows of pairs.csv that training uses. failed:
-    slots missed, aborted or rejected by `pair`. worst, best: directions with the highest and lowest
-    DGP in 5 % of the hours of the newest predicted year, as the room's own report names them.
+    session: its folder, as in `CampaignFile`. broken: why the room could not be read, "" if it
+    could; if not, the further fields have their defaults. Numbers of slots: captured: with a
+    complete bracket; planned: of the plan; to_do: that can still be captured; failed: missed,
+    aborted or rejected by `pair`. usable: number of rows of pairs.csv that training uses.
+    occupied_hours: number in the newest predicted year, 0 without one. worst, best: directions with
+    the most and the least glare in this year, as `best_and_worst` and the room's own report name
+    them; None without a year or a direction with a class.
     """
 
     session: str
@@ -104,7 +107,7 @@ class RoomOverview:
 def overview_of(folder: Path, name: str) -> RoomOverview:
     """Return the overview of one room; after any error, its field `broken` states the reason.
 
-    folder: of CAMPAIGN.toml; name: of the session's folder in it.
+    folder: of CAMPAIGN.toml; name: the session's folder, as the file states it. No error is raised.
     """
     from fieldlum.session.slot_states import slots_ahead
     from fieldlum.session.stage_status import stage_status
@@ -134,7 +137,7 @@ def overview_of(folder: Path, name: str) -> RoomOverview:
 def write_overview(campaign: CampaignFile, out: Path) -> tuple[Path, list[RoomOverview]]:
     """Write index.html and overview.json into `out`; return the page's path and the overviews.
 
-    The overviews are in the order of the rooms.
+    The overviews are in the order of `campaign.sessions`; a room that cannot be read has one too.
     """
     rooms = []
     for k, name in enumerate(campaign.sessions):

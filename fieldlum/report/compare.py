@@ -63,11 +63,14 @@ _EVALGLARE = re.compile(
 class Comparison(NamedTuple):
     """The result of `compare`: tables, and sentences on where and when the model errs.
 
-    surfaces: rows with name, mean luminances measured_cdm2 and model_cdm2, and the median ratio of
-    model over measured (of the median pixel) with its quartiles low and high, over a number of
-    pictures. directions: rows with azimuth_deg (clockwise from true north), figure (of hourly.csv),
-    number of shared hours, means measured and model, mean_abs difference; over, model_over: hours
-    of disturbing glare (None for Ev). text: the sentences. files: compare.csv and compare.png.
+    surfaces: of pictures, else empty; rows with the keys name; measured_cdm2, model_cdm2: mean
+    luminances; pictures: their number; ratio, low, high: median and quartiles over the pictures of
+    the ratio of model over measured (see `surface_rows`). directions: of hourly figures, else
+    empty; rows with the keys azimuth_deg: clockwise from true north; figure: dgp or ev_lx, which
+    decides the unit of the means (none or lx); hours: number of shared ones; measured, model: means
+    over them; mean_abs: mean absolute difference; over, model_over: hours of disturbing glare,
+    measured and by the model (None for ev_lx). text: the sentences. files: paths of compare.csv
+    and compare.png.
     """
 
     surfaces: list[JsonTable]
@@ -80,7 +83,8 @@ class SharedHours(NamedTuple):
     """A figure of one view in the n hours that the measurement and the model share.
 
     azimuth_deg: view direction, clockwise from true north; figure: dgp or ev_lx; hour_of_year [n]:
-    0 to 8759; measured, model [n]: values of the figure. The names are columns of compare.csv.
+    0 to 8759, in local standard time; measured, model [n]: values of the figure, ev_lx in lx. The
+    names of the fields are columns of compare.csv.
     """
 
     azimuth_deg: float
@@ -90,7 +94,10 @@ class SharedHours(NamedTuple):
     model: Floats
 
     def direction(self) -> JsonTable:
-        """Return the row of `Comparison.directions`: means, and hours of disturbing glare."""
+        """Return the row of `Comparison.directions`: means, and hours of disturbing glare.
+
+        Glare is disturbing if DGP is above 0.40.
+        """
         error, over = self.model - self.measured, [None, None]
         if self.figure == "dgp":
             over = [int((dgp > DISTURBING_DGP).sum()) for dgp in (self.measured, self.model)]
@@ -100,7 +107,7 @@ class SharedHours(NamedTuple):
         return row | dict(zip(("over", "model_over"), over, strict=True))
 
     def rows(self) -> list[JsonTable]:
-        """Return the rows of compare.csv, one for each hour."""
+        """Return the rows of compare.csv, one for each hour, with the fields' names as keys."""
         view, hours = (self.azimuth_deg, self.figure), self.hour_of_year.tolist()
         rows = zip(hours, self.measured.round(4), self.model.round(4), strict=True)
         return [dict(zip(SharedHours._fields, (*view, *row), strict=True)) for row in rows]
@@ -111,9 +118,9 @@ class SharedHours(NamedTuple):
         number, unit = ("+.3f", "") if self.figure == "dgp" else ("+.0f", " lx")
 
         def worst(group: Array) -> tuple[int, str]:
-            """Return the group with the largest mean absolute error, and the error as a text.
+            """Return the number of the group with the largest mean absolute error, and this error.
 
-            group: number of the group of each hour, [n].
+            The error is a text with its unit. group: number of the group of each hour, [n].
             """
             errors = {k: float(np.abs(error[group == k]).mean()) for k in set(group.tolist())}
             k = max(errors, key=errors.__getitem__)
@@ -139,11 +146,12 @@ def compare(
 ) -> Comparison:
     """Compare a model's result with a session, and write compare.csv and compare.png to `out`.
 
-    model: a file or folder with the result, as the module describes. azimuths_deg: view directions
-    of an hourly result that does not name them, in its order, clockwise from true north. annual:
-    the session's predicted year; None: there is none. Raises InputError for a result that cannot be
-    read, or that shares no picture and no hour with the session, NotEnoughDataError without a year
-    for a table of hours.
+    model: a folder of pictures that are named by the session's slots, a file or folder for
+    `read_model_hours`, or a text with lines of evalglare, each below the name of its picture.
+    azimuths_deg: view directions of an hourly result that does not name them, in its order,
+    clockwise from true north. annual: the session's predicted year, None without one; only tables
+    of hours need it. Raises InputError for a result that cannot be read, or that shares no picture
+    and no hour with the session, NotEnoughDataError without a year for a table of hours.
     """
     if model.is_dir() and _sun_up_hours_file(model) is None:
         return _compare_pictures(session, model, out)
@@ -169,10 +177,12 @@ def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, 
 
 
 def surface_names(room: Room, height: int, heading_deg: float) -> Array:
-    """Return what each pixel of a panorama mostly shows, [H, W], such as "N wall".
+    """Return what each pixel of a panorama mostly shows, [H, W] texts.
 
-    room: a box room; height: rows H, W = 2H; heading_deg: azimuth of the centre column. The name is
-    empty where neither box nor opening is, and within two pixels of an opening.
+    They are floor, ceiling, window, reveal, frame, obstruction or ground, and of a wall its name by
+    `wall_named`, such as ``N wall ("south")``. The text is empty where none of them is, and within
+    two pixels of a window. room: a box room; height: rows H, W = 2H; heading_deg: azimuth of the
+    centre column, clockwise from true north. Raises InputError for an impossible room.
     """
     view = traced_view(room, height, heading_deg)
     names = np.full(2 * height**2, "", dtype=object)
@@ -283,11 +293,12 @@ def surface_rows(
 ) -> list[JsonTable]:
     """Return the rows of compare.csv for one slot: "all", then each surface that is shown.
 
-    names, light, model_light, weight: surface, luminance in the capture and in the model [cd/m2],
-    and solid angle [sr] of each pixel, [H, W]. A row has the mean luminances, and the ratio of
-    model over measured: for "all" that of the means, for a surface that of its median pixel. A
-    material changes the median, light that leaks through a coarse ambient cache near a window does
-    not.
+    names, light, model_light, weight: surface ("" is not used), luminance in the capture and in the
+    model [cd/m2], and solid angle [sr] of each pixel, [H, W]. Keys of a row: slot; surface; mean
+    luminances measured_cdm2 and model_cdm2; ratio, of model over measured: for "all" that of the
+    means, for a surface that of its median pixel. A material changes the median, light that leaks
+    through a coarse ambient cache near a window does not. Surfaces below 0.005 sr (chosen: about 4
+    degrees wide) have no row.
     """
     rows, ratios = [], model_light / np.maximum(light, 0.01)
     for name in ("all", *sorted(set(names.ravel()) - {""})):
@@ -322,9 +333,10 @@ def _over_all_pictures(rows: Sequence[JsonTable]) -> list[JsonTable]:
 def surface_sentences(surfaces: Sequence[JsonTable]) -> list[str]:
     """Return sentences on the complete picture, and on the surface that differs most from others.
 
-    surfaces: rows of `Comparison.surfaces`. A surface is named if it differs from the others by
-    over 10 %, and three times as much as they do from each other. Pixels of reveals and frames mix
-    light and dark: they are not named.
+    surfaces: rows of `Comparison.surfaces`, "all" first. A surface is named if it differs from the
+    others by over 10 %, the error of a Radiance rendering of a known room (Mardaljevic 1995), and
+    by over three times as much as they do from each other (chosen). Pixels of reveals and frames
+    mix light and dark: they are not named.
     """
     total = surfaces[0]
     median = f"in the median of {total['pictures']} pictures"
@@ -370,12 +382,16 @@ def _error_text(ratio: float) -> str:
 
 
 def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
-    """Read a year of DGP or Ev that another program computed.
+    """Read a year of DGP or Ev [lx] that another program computed.
 
     Return a row for each time, with columns (figure, azimuth_deg); figure is dgp or ev_lx. The
-    index is the stated hour of the year: a fraction within the hour, or one of its ends.
-    azimuths_deg: of the views, in the order of the file's columns or rows, where it does not name
-    them as ``dgp@180``. Raises InputError for other content.
+    index is the stated hour of the year, 0 to 8760: a fraction within the hour, or one of its ends.
+
+    path: a csv or tab-separated table with a column dgp or ev for each view, such as ``dgp@180`` or
+    ``ev [lx]@180``, and the time as columns month, day and hour, as a column hoy, or as 8760 rows
+    from 1 January; a .dgp or .ill of DAYSIM; or a results folder of honeybee-radiance. A table of
+    one view may omit ``@180``. azimuths_deg: of the views that the file does not name so, in its
+    order, clockwise from true north. Raises InputError for other content.
     """
     if path.is_dir() or path.suffix.lower() in (".dgp", ".ill"):
         return _read_matrix(path, azimuths_deg)
@@ -554,10 +570,11 @@ def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[
     """Return the hour of the year, 0 to 8759, in which each stated time is, [n], and notes on it.
 
     path: the table, for errors; times [n]: hours since the year began, such as 9.5 or 10. daylight
-    [8760]: True for hours of the predicted year. An integer names an hour by its beginning or its
-    end. Both readings are compared with the daylight on the days of the table. The better reading
-    is used if the other has three times as many wrong hours. Raises InputError otherwise, and for a
-    repeated hour.
+    [8760]: True for hours of the predicted year. If all times are integers, each names an hour by
+    its beginning or its end. Both readings are compared with the daylight on the days of the table.
+    The better reading is used if the other has over three times as many wrong hours (chosen).
+    Raises InputError otherwise, for a time outside the year, and for a repeated hour. The notes are
+    sentences.
     """
     outside = ~((times >= 0) & (times < len(daylight)))
     if outside.any():

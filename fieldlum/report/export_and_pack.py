@@ -57,8 +57,10 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
     beam_share: the share of the sun's beam that arrives from there, with its 95 % bounds low and
     high, empty where no lens saw; sky_view_mask.png: the same as a fisheye. room.rad: the fitted
     room, else the stated one, in room axes; room.hbjson: the same for honeybee, in true north.
-    pairs.nc, year.nc: netCDF 3 with units. Raises InputError for a damaged file, NotEnoughDataError
-    without any result.
+    pairs.nc: usable rows of pairs.csv; year.nc: the newest predicted year; both netCDF 3 with
+    units. Earlier files of these names are replaced. Raises InputError for a damaged file, and for
+    a room.rad or room.hbjson in `out` that export did not write; NotEnoughDataError without a
+    merged map and a predicted year.
     """
     panoramas = session.panorama_files()
     if not panoramas and not session.annual_folders():
@@ -178,8 +180,9 @@ _GPS, _GPS_VERSION, _OWNER, _SERIAL = 0x8825, 0, (0xA430, 0x013B), (0xA431, 0xA4
 class Statement(NamedTuple):
     """What only the authors of a data set can state about it.
 
-    title; authors: "Family, Given" each; licence: SPDX identifier, such as CC-BY-4.0; publisher:
-    who gives the DOI, such as Zenodo; people: who can be seen, and how they consented.
+    title: of the data set; authors: "Family, Given" each; licence: SPDX identifier, such as
+    CC-BY-4.0; publisher: who gives the DOI, such as Zenodo; people: a sentence on who can be seen,
+    and how they consented.
     """
 
     title: str
@@ -192,8 +195,11 @@ class Statement(NamedTuple):
 def pack(session: Session, out: Path, statement: Statement) -> list[str]:
     """Write the archive `out` (.zip) and return notes for its authors, one sentence each.
 
-    Raises InputError if `out` exists or is no .zip, and for frames whose EXIF has a position, an
-    owner's name or a serial number; NotEnoughDataError for a session without captures.
+    It has raw frames, panoramas, tables, predicted years, a data sheet with the notes, and
+    checksums; models, links and folders of this computer in session.toml are left out. Warns of a
+    file that was changed after it was written. Raises InputError if `out` exists or is no .zip, for
+    frames whose EXIF has a position, an owner's name or a serial number, and for a damaged file;
+    NotEnoughDataError for a session without captures.
     """
     if out.suffix.lower() != ".zip":
         raise InputError(out, f"the suffix '{out.suffix}'", "a .zip", "correct the name")
@@ -223,7 +229,10 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
     with replacing_path(out) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive:
 
         def add(name: str, data: bytes) -> None:
-            """Add a file to the archive, and its checksum to the manifest."""
+            """Add a file to the archive, and its checksum to the manifest.
+
+            name: path of the file, relative to the session's folder; data: its content.
+            """
             digests.append((name, hashlib.sha256(data).hexdigest()))
             archive.writestr(f"{top}/{name}", data)
 

@@ -27,17 +27,23 @@ NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
 
 
 def direction_name(azimuth_deg: float) -> str:
-    """Return the compass name of a direction with its degrees, such as "S (180°)"."""
+    """Return the compass name of a direction with its degrees, such as "S (180°)".
+
+    azimuth_deg: clockwise from north.
+    """
     return f"{compass_name(azimuth_deg)} ({azimuth_deg:.0f}°)"
 
 
 def sentence(text: str) -> str:
-    """Return a text as a sentence: with a capital at its beginning and a full stop at its end."""
+    """Return a text as a sentence: with a capital at its beginning and a full stop at its end.
+
+    text: not empty. "+-" in it becomes "±".
+    """
     return f"{text[0].upper()}{text[1:].rstrip('.')}.".replace("+-", "±")
 
 
 def class_name(row: DirectionYear) -> str:
-    """Return the glare class of a direction in words.
+    """Return the glare class of a direction, such as "high"; "below minimum" for the class "none".
 
     EN 17037 has no name for what is below its minimum.
     """
@@ -56,7 +62,8 @@ def chip(row: DirectionYear, more: str = "") -> dict[str, str]:
 class Figure(NamedTuple):
     """A picture of the page.
 
-    content: SVG text, or the bytes of a PNG; alt: text for screen readers, "" for the caption.
+    content: SVG text, or the bytes of a PNG; caption: text below the picture; alt: text for screen
+    readers, "" to use the caption.
     """
 
     content: str | bytes
@@ -67,9 +74,9 @@ class Figure(NamedTuple):
 class Table(NamedTuple):
     """A table with an optional title.
 
-    head: names of the columns; rows: cells of each row, as many as `head`: text, numbers or the
-    result of `chip`; folded: whether it is shown only after a click; words: whether the cells are
-    words, aligned left.
+    head: names of the columns; rows: cells of each row, as many as `head`: text, numbers or dicts
+    as from `chip`; title: "" for none; folded: whether the table is shown only after a click;
+    words: whether the cells are words, aligned left.
     """
 
     head: Sequence[str]
@@ -82,8 +89,8 @@ class Table(NamedTuple):
 class Section(NamedTuple):
     """One section of the page.
 
-    id: anchor in the page; text: a paragraph in each line; rows: figures next to each other;
-    heatmap: the result of `heat_map`.
+    id: anchor in the page; title: its heading; text: a paragraph in each line; rows: each has
+    figures that are next to each other; heatmap: the result of `heat_map`, None for none.
     """
 
     id: str
@@ -97,8 +104,9 @@ class Section(NamedTuple):
 class Quantity(NamedTuple):
     """A quantity that the heat map can show.
 
-    step: of the values as stored, in the unit; edges: values at which the colour changes; colours:
-    one more than edges; digits: decimals shown.
+    name, unit: as texts on the page, the unit with a blank before it; step: of the values as
+    stored, in the unit; edges: values at which the colour changes, in the unit, ascending; colours:
+    of CSS, one more than edges; digits: decimals shown.
     """
 
     name: str
@@ -123,11 +131,12 @@ def heat_map(
 ) -> JsonTable:
     """Return the heat map of a year for the template: a cell for each day and hour.
 
-    day: of the year, from 1, and hour, 0 to 23, of n hours, [n]; year: for the dates. layers:
-    quantities, each with its values [n, d] in d directions, NaN for none. about: keys for the
-    template: directions: names [d]; start: index of the direction shown first; used: hours of the
-    day at which lines are drawn; alt: text instead of the picture. Other keys of the result: json,
-    the data for the script; quantities, names of the layers.
+    day: of the year, from 1, and hour, 0 to 23, of n hours, [n]; year: of the calendar, for the
+    dates. layers: quantities, each with its values [n, d] in d directions, NaN for none. about:
+    keys for the template, which the result has too: directions: names [d]; start: index of the
+    direction shown first; used: hours of the day at which lines are drawn; alt: text instead of the
+    picture. Other keys of the result: json, the data for the script; quantities, names of the
+    layers.
     """
     days = max(365, int(day.max()))
     quantities = []
@@ -145,8 +154,9 @@ def heat_map(
 class Page(NamedTuple):
     """What a page shows.
 
-    answer, why: the direction to sit in, and the reason; facts: (name, value) pairs; warnings: one
-    sentence each; polar: glare by direction, next to the answer.
+    title: of the page; answer, why: the sentences at its top, such as the direction to sit in, and
+    the reason; facts: (name, value) pairs below them; sections: in the order of the page; warnings:
+    one sentence each; polar: glare by direction, next to the answer, None for no picture.
     """
 
     title: str
@@ -177,7 +187,10 @@ CLASS_COLOURS = {"high": GREEN, "medium": "#7fae2e", "minimum": "#e0a100", "none
 
 
 def png(figure: Drawing, dpi: int = 110) -> bytes:
-    """Return a figure as PNG bytes; dpi: pixels per inch of its size."""
+    """Return a figure of matplotlib as PNG bytes, without empty margins.
+
+    dpi: pixels per inch of the figure's size.
+    """
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi, bbox_inches="tight")
     return buffer.getvalue()
@@ -198,10 +211,11 @@ def picture_grid(
 ) -> tuple[Drawing, list[Axes]]:
     """Draw luminance pictures in false colour with one colour bar; return the figure and its axes.
 
-    maps: [H, W] each, in cd/m2, NaN is white; titles: of the maps; columns: pictures in a row;
-    width_in: of one picture in inches; scale_cdm2: ends of the colour scale, at which values are
-    cut off. ratios: the maps of the last column are binary logarithms of ratios, drawn from blue
-    (1/2) to red (2) with their own bar. The axes of each map are in pixels from its top left.
+    maps: at least one, [H, W] each, in cd/m2, NaN is white; titles: of the maps; columns: pictures
+    in a row; width_in: of one picture in inches; scale_cdm2: ends of the logarithmic colour scale,
+    at which values are cut off. ratios: the maps of the last column are binary logarithms of
+    ratios, drawn from blue (1/2) to red (2) with their own bar. The list of axes has one for each
+    map, in pixels from its top left.
     """
     rows, columns = -(-len(maps) // columns), min(columns, len(maps))  # rows rounded up
     height_in = width_in * max(image.shape[0] / image.shape[1] for image in maps) + 0.4
@@ -232,10 +246,11 @@ def picture_grid(
 def comparison_png(
     measured: Iterable[Floats], predicted: Iterable[Floats], labels: Sequence[str], name: str
 ) -> bytes:
-    """Return a PNG with a row for each of n maps: measured, predicted, and their ratio.
+    """Return a PNG with a row for each of n maps: measured, predicted, predicted over measured.
 
-    measured, predicted: n maps each, [H, W], cd/m2; labels: [n]; name: of the second column. Values
-    below 1 cd/m2 count as 1 in the ratio. As Liu, Colburn and Inanici 2020, Figures 9 and 23.
+    measured, predicted: n maps each, [H, W], cd/m2; labels: of the rows [n]; name: of the second
+    column. Values below 1 cd/m2 count as 1 in the ratio. As Liu, Colburn and Inanici 2020, Figures
+    9 and 23.
     """
     maps, titles = [], []
     for true, model, label in zip(measured, predicted, labels, strict=True):
@@ -253,8 +268,9 @@ def captured_svg(
 ) -> str:
     """Return an SVG of captured hours over the other hours of a year, in any two quantities.
 
-    year, captured: x and y of the points, [n] each; y is at least 0, and a year without points is
-    not drawn. label: of the year's points; x_name, y_name: of the axes.
+    year, captured: x and y of the points, two arrays of equal length each; y is at least 0, and a
+    year without points is not drawn. label: of the year's points; x_name, y_name: of the axes, with
+    units.
     """
     with styled():
         figure = Drawing(figsize=(5.2, 3.4))
@@ -276,7 +292,8 @@ def polar_svg(azimuths_deg: Floats, dgp_exceeded: Floats, low: Floats, high: Flo
 
     It is a polar plot over the limits of the classes. azimuths_deg, dgp_exceeded, low, high: [d];
     directions run clockwise from north, low and high bound the 95 % interval. A NaN is a direction
-    that was not seen, or an unknown interval: there is a gap.
+    that was not seen, or an unknown interval: there is a gap. Values outside `POLAR_RANGE` are
+    drawn at its ends.
     """
     order = np.argsort(azimuths_deg)
     around = np.append(order, order[0])  # a closed line

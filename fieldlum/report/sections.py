@@ -34,7 +34,7 @@ GA_DGP, SDG_DGP = 0.40, 0.38  # honeybee's limit of GA, and ClimateStudio's of s
 
 
 def best_direction(annual: Annual) -> tuple[str, str]:
-    """Return the direction with the least glare, and the reason, as two texts of the page.
+    """Return two texts of the page: the direction with the least glare, and the reason.
 
     If no direction was seen enough, the texts state this and what to capture.
     """
@@ -93,24 +93,33 @@ def polar(annual: Annual) -> Figure:
 
 
 def exceeded_text(row: DirectionYear, unknown: str = "–") -> str:
-    """Return the DGP that 5 % of the occupied hours exceed, as text; `unknown` if there is none."""
+    """Return the DGP that 5 % of the occupied hours exceed, as a text with two decimals.
+
+    unknown: the text for a direction without a DGP.
+    """
     return unknown if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
 
 
 class Share(NamedTuple):
-    """A share in percent: its best value, and the ends of its 95 % interval."""
+    """A share of a year's hours or of its days, in percent.
+
+    value: the best estimate; low, high: ends of its 95 % interval.
+    """
 
     value: float
     low: float
     high: float
 
     def text(self) -> str:
-        """Return the share, with its interval unless both ends round to the same percent."""
+        """Return a text such as "12 % (8 to 15)", without the interval if its ends round alike."""
         value, low, high = (f"{part:.0f}" for part in self)
         return f"{value} %" if low == high else f"{value} % ({low} to {high})"
 
     def above(self, limit: float) -> str:
-        """Return whether the share exceeds a limit [%]: yes, no, or cannot tell."""
+        """Return whether the share exceeds a limit [%]: "yes", "no" or "cannot tell".
+
+        It cannot be decided if the limit is within the interval.
+        """
         return "yes" if self.low > limit else "no" if self.high <= limit else "cannot tell"
 
 
@@ -131,10 +140,10 @@ def _hours_over(annual: Annual, limit: float) -> list[Share]:
 
 
 def disturbed(annual: Annual) -> list[str]:
-    """Return for each direction whether it is disturbed as sDG counts it: yes, no, cannot tell.
+    """Return for each direction whether it is disturbed: "yes", "no" or "cannot tell".
 
-    It is if DGP exceeds 0.38 in over 5 % of the occupied hours. The text is "–" for a direction
-    that was not seen.
+    As sDG (ClimateStudio) counts it, it is if DGP exceeds 0.38 in over 5 % of the occupied hours.
+    The text is "–" for a direction that was not seen. The order is that of `annual.azimuths_deg`.
     """
     shares = zip(_hours_over(annual, SDG_DGP), annual.judged, strict=True)
     return [share.above(100 * EXCEEDED_SHARE) if seen else "–" for share, seen in shares]
@@ -206,7 +215,8 @@ def when_section(annual: Annual, zone: str) -> Section:
 def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
     """Return the section with predicted pictures of typical hours and of those with most glare.
 
-    pictures: stored with the year; zone: IANA name, for local time.
+    pictures: those stored with the year; zone: IANA name of the time zone of the hours that are
+    named, with summer time.
     """
     names = {"typical": "Typical hour", "p95": "95th percentile"}
     turned, titles, rows = [], [], []
@@ -256,7 +266,8 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
 
     A row is a view direction, a column a source of uncertainty. A source that adds under a
     hundredth of the combined uncertainty is a dash. folded: whether the tables are shown only after
-    a click.
+    a click. For a year without budget.csv a sentence replaces the tables. Raises InputError for a
+    damaged one.
     """
     tables, budget = [], read_budgets(annual.folder / BUDGET_FILE)
     for figure, unit in dict.fromkeys((row["figure"], row["unit"]) for row in budget):
@@ -290,17 +301,19 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
 
 
 def has_melanopic(annual: Annual) -> bool:
-    """Return whether the year has melanopic EDI by the measured colour of the captures."""
+    """Return whether any hour of the year has melanopic EDI by the captures' measured colour."""
     return bool(np.isfinite(annual.views["melanopic_edi_lx"]).any())
 
 
 def melanopic_shares(annual: Annual, zone: str) -> list[tuple[Share, list[Share]]]:
-    """Return the shares of the year with enough melanopic light, for each direction.
+    """Return the shares of the year with enough melanopic light, for each of d directions.
 
     The first share is of hours (`ENOUGH_HOURS` of `YearHours.shares`), those in the list are of
-    days (`ENOUGH_DAYS`). zone: IANA name, for local standard time. The intervals are those of
-    budget.csv; for a year without it the errors of all hours count as equal. Without measured
-    colour the shares are estimates, without intervals.
+    days, by the limits of `ENOUGH_DAYS` in this order. zone: IANA name, for local standard time.
+    The intervals are those of budget.csv; for a year without it the errors of all hours count as
+    equal. Without measured colour the shares are estimates, and both ends of their intervals are
+    the value. Shares of a direction that was not seen are NaN. Raises InputError for a damaged
+    budget.csv.
     """
     hours = melanopic.YearHours.of(annual.t_utc, zone, annual.summary.days)
     edi_lx, u_lx = annual.views["melanopic_edi_lx"], annual.views["u_melanopic_edi_lx"]  # [n, d]
@@ -316,7 +329,11 @@ def melanopic_shares(annual: Annual, zone: str) -> list[tuple[Share, list[Share]
             high[name][k] = np.clip(best[name][k] + half_width, 0.0, 100.0)
 
     def share(name: str, k: int) -> Share:
-        """Return the share `name` of direction k."""
+        """Return the share of the year with enough melanopic light in one direction.
+
+        name: `ENOUGH_HOURS` or one of `ENOUGH_DAYS`, which decides whether the share is of hours or
+        of days; k: index of the direction in `annual.azimuths_deg`.
+        """
         return Share(float(best[name][k]), float(low[name][k]), float(high[name][k]))
 
     return [
@@ -328,7 +345,8 @@ def melanopic_shares(annual: Annual, zone: str) -> list[tuple[Share, list[Share]
 def melanopic_section(annual: Annual, zone: str) -> Section:
     """Return the section with the shares of hours and days with enough melanopic light.
 
-    zone: IANA name, for local standard time.
+    It has a row for each direction that was seen (`melanopic_shares`). zone: IANA name, for local
+    standard time. Raises InputError for a damaged budget.csv.
     """
     shares = zip(annual.azimuths_deg, annual.judged, melanopic_shares(annual, zone), strict=True)
     rows = [
@@ -372,9 +390,9 @@ def accuracy_section(
 ) -> Section:
     """Return the section on accuracy, from held-out maps and the scores of `train`.
 
-    held: maps of the model, None without; scores: of the model, None without; their parts are then
-    omitted. names: the slot's name in the session by its name in `held`, which is the middle of its
-    bracket.
+    held: held-out maps of the model, scores: its scores; None if missing, and their part of the
+    section is omitted. names: for each slot the id that the session uses, by the id in `held`,
+    which is the time of the middle of its bracket; None to show the ids in `held`.
     """
     judged = None if scores is None else scores.judged_row
     text = "The numbers of this report are not checked: training had no held-out day."
@@ -437,7 +455,9 @@ def captures_section(
 ) -> Section:
     """Return the section on the captures: their suns, skies and irradiance, and refused brackets.
 
-    year: columns of hourly.csv with the irradiance [W/m2] of the predicted year; empty without one.
+    pairs: the session's pairs.csv. year: columns of hourly.csv of the predicted year, of which
+    dni_wm2 and dhi_wm2 are used; empty without one. Raises InputError if the session cannot be
+    read.
     """
     used = pairs.usable
     start = datetime(used[0].t_utc.year if used else 2027, 1, 1, 0, 30, tzinfo=UTC)
@@ -487,7 +507,8 @@ def warnings_of(session: Session, year: Annual | None) -> list[str]:
     """Return the warnings of the page, one sentence each.
 
     They are about assumed settings and the camera; with a predicted year also about training,
-    weather, and whether the year is of the present captures. year: None without one.
+    weather, and whether the year is of the present model and session (`is_current`). year: None
+    without one. Raises InputError if the session or the year's model cannot be read.
     """
     camera = session.site_file().camera
     texts = profiles.assumed_texts(camera)

@@ -32,9 +32,9 @@ class MeasuredPicture:
 
     name: of its file. picture: its pixels and view. luminance_cdm2: [H, W], NaN where no lens saw.
     solid_angle_sr: [H, W] of complete pixels, 0 where the view has no direction. figures: Ev,
-    melanopic EDI and DGP in the view direction, as text. outlines: polygons of pixels (x, y) from
-    the top left, around the strongest glare sources of a fisheye; none for a panorama. notes:
-    warnings of the glare figures.
+    melanopic EDI and DGP in the view direction (the middle of a panorama), as one text. outlines:
+    polygons around the 12 strongest glare sources of a fisheye, each a list of pixels [x, y] from 0
+    at the top left; none for a panorama. notes: warnings of the glare figures, sentences.
     """
 
     name: str
@@ -65,9 +65,11 @@ class Region(NamedTuple):
 
 
 def parse_region(text: str) -> Region:
-    """Return the region that a text describes: one of `FORMS`, in pixels or in degrees.
+    """Return the region that a text describes.
 
-    Raises ValueError for any other text, and for a radius, width or height that is not above 0.
+    text: rect:x,y,w,h or circle:x,y,r in pixels, or cone:AZ,ALT,RADIUS in degrees (`FORMS`); for
+    the numbers see `Region`. Raises ValueError for any other text, for numbers that are not finite,
+    and for a radius, width or height that is not above 0.
     """
     kind, _, rest = text.partition(":")
     try:
@@ -82,7 +84,11 @@ def parse_region(text: str) -> Region:
 
 
 def region_mask(region: Region, picture: MeasuredPicture) -> Mask:
-    """Return a mask [H, W]: True for pixels whose centres are in the region."""
+    """Return a mask [H, W]: True for pixels whose centres are in the region.
+
+    picture: to which the region is applied. Regions of all kinds include pixels that no lens saw; a
+    cone has no pixels without a direction.
+    """
     height, width = picture.luminance_cdm2.shape
     y, x = (np.arange(height) + 0.5)[:, None], (np.arange(width) + 0.5)[None, :]
     if region.kind == "rect":
@@ -99,8 +105,9 @@ def region_mask(region: Region, picture: MeasuredPicture) -> Mask:
 def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, float | str | None]:
     """Return the statistics of a region in a picture: a value for each of `COLUMNS`.
 
-    Mean and standard deviation are weighted by solid angle, the median by pixels [cd/m2]. Pixels
-    that no lens saw do not count. For a region without pixels the figures are None.
+    Mean and standard deviation [cd/m2] are weighted by solid angle, the median counts pixels.
+    pixels, solid_angle_sr: number and total solid angle of the pixels that count: those with a
+    direction that a lens saw. If there are none, pixels is 0 and the other figures are None.
     """
     mask = region_mask(region, picture) & np.isfinite(picture.luminance_cdm2)
     mask &= picture.solid_angle_sr > 0
@@ -121,7 +128,7 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
     """Read a picture and compute its glare, in the middle of a panorama or in a fisheye's view.
 
     part: name of the part, layer or stereo view of an .exr; "" for the only one. Raises InputError
-    for an unusable file.
+    for an unusable file, and for seen pixels that are not finite.
     """
     picture = read_picture(path, part=part)
     luminance = picture.panorama.seen_cdm2
@@ -166,7 +173,11 @@ def _outlines(sources: Sources, shape: tuple[int, ...]) -> list[Any]:
 
 
 def write_png(path: Path, pictures: Sequence[MeasuredPicture], regions: Sequence[Region]) -> None:
-    """Write a PNG of the pictures next to each other, on one scale and with the regions."""
+    """Write a PNG of the pictures next to each other, in false colour on one scale.
+
+    path: of the PNG; an earlier file is replaced. regions: outlined in each picture, with numbers
+    from 1.
+    """
     from fieldlum.report.page import picture_grid, png
 
     maps = [picture.shown_cdm2 for picture in pictures]
@@ -205,8 +216,9 @@ _U_STEP = 4  # the page has the uncertainty of each fourth pixel, which limits i
 def encode_luminance(luminance_cdm2: Floats32) -> str:
     """Return luminances [H, W] as text for the page: base64 of deflated 16-bit logarithmic codes.
 
-    Each code is stored as its difference from the pixel to the left, all high bytes first. Code 0:
-    no light, or no lens saw the pixel.
+    Code q of 1 to 65535 is 10^((q - 1) / 65534 * 14 - 4) cd/m2, the nearest in this range; 0: no
+    light, or no lens saw the pixel (NaN). Each code is stored as its difference, modulo 65536, from
+    the pixel to the left, row by row from the top; all high bytes, then all low bytes.
     """
     positive = np.nan_to_num(luminance_cdm2, nan=0.0, posinf=0.0)
     logs = np.log10(np.maximum(positive, 10.0**LOG_LOW), dtype=np.float32)
@@ -219,9 +231,10 @@ def encode_luminance(luminance_cdm2: Floats32) -> str:
 
 
 def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[JsonTable]) -> None:
-    """Write one self-contained page: pictures, their figures, and statistics of regions.
+    """Write one self-contained HTML page: pictures, their figures, and statistics of regions.
 
-    rows: results of `region_statistics`.
+    path: of the page; an earlier file is replaced. rows: results of `region_statistics`, in the
+    order of the page's table.
     """
     low, high = shared_scale(luminance_ends(picture.shown_cdm2) for picture in pictures)
     about = {

@@ -50,10 +50,10 @@ class Moment(NamedTuple):
 class Worker:
     """Runs merge, pair, train and predict of a session in a thread, while no slot is near.
 
-    moment: returns the present state of the capture. weather: path of a weather file, or
-    "synthetic". program: words of the command line that start fieldlum; look_every_s: pause before
-    it looks for new work again; problem: error of the last step, or ""; step: name of the command
-    that is running, or "".
+    moment: returns the present state of the capture; it is called in the thread. weather: path of a
+    weather file, or "synthetic". program: words of the command line that start fieldlum;
+    look_every_s: pause before the thread looks for new work again. State, which other threads may
+    read: problem: error of the last step, or ""; step: name of the command that is running, or "".
     """
 
     session: Session
@@ -70,16 +70,16 @@ class Worker:
 
     @property
     def folder(self) -> Path:
-        """The session's folder watch/, with the model, the year and the last answer."""
+        """The session's folder watch/, with the model, the predicted year and error texts."""
         return self.session.root / "watch"
 
     def start(self) -> None:
-        """Start the thread and return at once."""
+        """Start the thread, which calls `work` again and again, and return at once."""
         self._thread = threading.Thread(target=self._loop, name="answer", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Stop the running command and the thread."""
+        """Kill the running command, and wait up to 20 s for the thread to end."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(20.0)
@@ -94,7 +94,9 @@ class Worker:
         """Merge and pair new brackets if no slot is near; then train and predict if it is time.
 
         It is time if 8 or more slots are captured, slots were captured since the last training of
-        this process, and the last predicted year is 6 or more hours old or missing.
+        this process, and the last predicted year is 6 or more hours old or missing. It returns
+        after the last command, which is paused near slots. An error of a command is not raised but
+        stored in `problem`. Raises OSError if a folder cannot be written or read.
         """
         now = self.moment()
         if not now.is_quiet or now.captured == 0:
@@ -182,9 +184,10 @@ def _signal_tree(process: psutil.Popen, action: Literal["kill", "suspend", "resu
 def read_answer(session: Session) -> JsonTable | None:
     """Return what `Worker` predicted last, as JSON for the page; None if a file cannot be used.
 
-    The files are in the session's folder watch/. t_utc: its time; captures: number of captures of
-    its model; weather: its name; synthetic: whether it is a synthetic year; warnings: texts;
-    protection: a `DirectionYear` for each view direction.
+    The files are in the session's folder watch/. t_utc: time at which the year was written;
+    captures: number of captures from which its model was trained; weather: name of its weather;
+    synthetic: whether this is a synthetic year; warnings: texts; protection: a `DirectionYear` for
+    each view direction.
     """
     folder = session.root / "watch"
     try:
@@ -205,9 +208,9 @@ def read_answer(session: Session) -> JsonTable | None:
 def answer_table(session: Session, worker: Worker | None) -> JsonTable:
     """Return the last answer and what is computed now, as JSON for the page.
 
-    last: `read_answer`; computes: whether this process has a worker; step: name of the running
-    command or ""; problem: error of the last step or ""; least_captures: number that an answer
-    needs. worker: None if nothing is computed here.
+    Keys: last: `read_answer`; computes: whether this process has a worker; step: name of the
+    running command or ""; problem: error of the last step or ""; least_captures: number that an
+    answer needs. worker: None if this process computes nothing.
     """
     step, problem = (worker.step, worker.problem) if worker else ("", "")
     doing = {"computes": worker is not None, "step": step, "problem": problem}

@@ -37,8 +37,8 @@ from fieldlum.web.snapshot import Snapshots, picture_png
 async def json_body(request: Request, max_bytes: int) -> Mapping[str, Any]:
     """Return the JSON object in the body of a request.
 
-    Raises HTTPException with status 415 for another content type, 413 for a body longer than
-    `max_bytes`, 400 for other content.
+    Raises HTTPException with status 415 for a content type other than application/json, 413 for a
+    body longer than `max_bytes`, 400 for content that is no JSON object.
     """
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise HTTPException(415)
@@ -103,8 +103,10 @@ _CACHED = {"Cache-Control": "private, max-age=31536000, immutable"}  # 365 days
 class Guard:
     """ASGI layer that passes requests with the token or its cookie on to `app`, and refuses others.
 
-    All answers, also refusals, get security headers. After the first request with the token the
-    browser uses the cookie. port: of this server; names: host names and addresses of this computer.
+    A request must also name this server as Host, and come from its own pages. All answers, also
+    refusals, get security headers. After the first request with the token the browser uses the
+    cookie. port: of this server; names: host names and addresses of this computer. Attributes:
+    token: random, new for each object; hosts: the allowed values of Host, "name:port".
     """
 
     def __init__(self, app: ASGIApp, port: int, names: Iterable[str]) -> None:
@@ -115,7 +117,10 @@ class Guard:
         self.hosts = frozenset(f"{name}:{port}".lower() for name in names)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or refuse it."""
+        """Answer a request with `app`, or refuse it with a status from 401 to 421.
+
+        scope, receive, send: as ASGI defines them. Anything but HTTP is ignored.
+        """
         if scope["type"] != "http":  # no web sockets here
             return
 
@@ -134,7 +139,10 @@ class Guard:
         """Return a refusal, or an answer that sets the cookie; None to pass the request on."""
 
         def refused(status: int, text: str) -> Response:
-            """Return a refusal, after which the connection is closed."""
+            """Return a refusal, after which the connection is closed.
+
+            status: of HTTP; text: a sentence, which is the answer's body.
+            """
             return PlainTextResponse(f"{text}\n", status, {"connection": "close"})
 
         headers, method = request.headers, request.method
@@ -165,15 +173,25 @@ def _same(text: str, wanted: str) -> bool:
 
 
 def static_route(path: str, name: str) -> Route:
-    """Return a route that answers requests of `path` with the file `name` in web/static/."""
+    """Return a route that answers requests of `path` with the file `name` in web/static/.
+
+    path: of the address, such as "/page.css".
+    """
     return Route(path, lambda request: FileResponse(STATIC / name))
 
 
 def picture_routes(session: Session) -> list[Route]:
-    """Return the routes of a session's panoramas in false colour (PNG), and of their scale."""
+    """Return the routes of a session's panoramas in false colour (PNG), and of their scale.
+
+    Their paths are /picture/SLOT.png and /scale.png; queries: see `picture`.
+    """
 
     def picture(request: Request) -> Response:
-        """Answer with a panorama as PNG, in false colours from `low` to `high` cd/m2."""
+        """Answer with a panorama as PNG, in false colours from `low` to `high` cd/m2.
+
+        Queries of the request: low and high; width in pixels, 920 if missing. Raises HTTPException
+        with status 400 for a wrong slot or query, 404 for a panorama that cannot be read.
+        """
         slot = request.path_params["slot"]
         try:
             low, high = (float(request.query_params[name]) for name in ("low", "high"))
@@ -201,18 +219,21 @@ def watch_routes(
 ) -> list[Route]:
     """Return the web routes of the page of `fieldlum watch`.
 
-    worker: computes the glare classes so far, or None.
+    snapshots: of `session`; worker: computes the glare classes so far, None if nothing does.
     """
 
     def state() -> Mapping[str, object]:
-        """Return the session's state, and a text that changes with /answer.json."""
+        """Return `Snapshots.state` and the key answer: a text that changes with /answer.json."""
         predicted = session.root / "watch" / "annual" / "predict.json"
         written_ns = predicted.stat().st_mtime_ns if predicted.is_file() else 0
         doing = [worker.step, worker.problem] if worker else []
         return {**snapshots.state(), "answer": " ".join([str(written_ns), *doing])}
 
     def day(request: Request) -> Response:
-        """Answer with the irradiance and slots of a local day."""
+        """Answer with `Snapshots.day` of the date in the address, such as /day/2027-03-20.json.
+
+        Raises HTTPException with status 404 for no date of the years 1970 to 2999.
+        """
         try:
             local_day = date.fromisoformat(request.path_params["day"])
         except ValueError:
@@ -244,7 +265,10 @@ def _json_response(compute: Callable[[], Mapping[str, object]]) -> Response:
 
 
 class Served(NamedTuple):
-    """A server that is ready to run: its socket, which listens, and its address with the token."""
+    """A server that is ready to run.
+
+    app: answers the requests; socket: listens already; address: of the page, with the token.
+    """
 
     app: ASGIApp
     socket: socket.socket
@@ -261,8 +285,9 @@ class Served(NamedTuple):
 def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
     """Open a port and return the server that answers `routes` there.
 
-    port: 0 chooses a free one; lan: whether other computers of the network can reach it. Raises
-    DeviceError if the port cannot be used.
+    port: 0 chooses a free one; lan: whether other computers of the network can reach it. The port
+    listens at once; requests are answered after `Served.run` is called. Raises DeviceError if the
+    port cannot be used.
     """
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -299,7 +324,8 @@ def _lan_address() -> str:
 def qr_lines(text: str) -> list[str]:
     """Return a QR code of `text` as lines of half blocks, with the required margin.
 
-    A line shows two rows of modules. Light modules are drawn: print the lines in white on black.
+    text: such as an address of up to a hundred characters. A line shows two rows of modules. Light
+    modules are drawn: print the lines in white on black.
     """
     import cv2
 
