@@ -29,10 +29,11 @@ from fieldlum.weather import Weather
 class Request:
     """The options of the command `plan`; None where the user states none.
 
-    set: 4-day, 9-day, 12-day, month, even or best; today: the local date; start: first date; year:
-    of the equinoxes and solstices, or of a first date on 1 January; days: number of days, for
-    month, even and best; count: number of hours, for even (None: 200, as Liu, Colburn and Inanici
-    2020) and best (None: 50); seed: of the clusters of even.
+    set: 4-day, 9-day, 12-day, month, even or best (see `capture_days.days_of_set`); today: the
+    local standard date; start: first date, or the earliest for 4-day, 9-day and 12-day; year: of
+    the equinoxes and solstices, or of a first date on 1 January; days: number of days, for month
+    (None: 31), even and best (None: 365); count: number of hours, for even (None: 200, as Liu,
+    Colburn and Inanici 2020) and best (None: 50, chosen); seed: of the clusters of even.
     """
 
     set: str
@@ -46,10 +47,11 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The slots of a set, in order of time, with their cost, coverage and warnings.
+    """The slots of a set, with their cost, coverage and warnings.
 
-    days: all days of the set, also those without slots; seconds_per_slot, megabytes_per_slot: time
-    and disk space of one bracket at all headings.
+    slots: in order of time; days: all local standard dates of the set, also those without slots, in
+    order; seconds_per_slot, megabytes_per_slot: time and disk space of one bracket at all headings;
+    coverage: what the slots cover of a year; warnings: sentences for the user.
     """
 
     slots: tuple[Slot, ...]
@@ -60,7 +62,10 @@ class Plan:
     warnings: tuple[str, ...]
 
     def about(self, request: Request) -> PlanTable:
-        """Return the table [plan] of session.toml, with the options that are set and revision 0."""
+        """Return the table [plan] of session.toml, of revision 0.
+
+        request: that of this plan, of which set and the stated start, year and count are recorded.
+        """
         table: PlanTable = {
             "set": request.set,
             "revision": 0,
@@ -78,9 +83,9 @@ class Plan:
 def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Mask:
     """Return a mask [n]: True where a sun at these angles shines through a window of a box room.
 
-    altitude_deg, azimuth_deg: [n] of the sun as the room receives it, clockwise from true north. It
-    shines through if one of 6 x 6 points of the window is lit past reveals, bars and obstructions.
-    Raises InputError for an impossible room.
+    altitude_deg, azimuth_deg: [n] of the sun as the room receives it, azimuth clockwise from true
+    north. It shines through if one of 6 x 6 points (chosen) of the window is lit past reveals, bars
+    and obstructions. Raises InputError for a room of another kind, or an impossible one.
     """
     scene = build(room)
     suns = scene.to_room(sun.direction(altitude_deg, azimuth_deg))  # [n, 3]
@@ -98,10 +103,10 @@ def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> M
 
 
 def sun_in_view(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Mask:
-    """Return a mask [n]: True where the camera sees at least a part of the sun disc.
+    """Return a mask [n]: True where the camera in a box room sees at least a part of the sun disc.
 
-    altitude_deg, azimuth_deg: of the sun [n], clockwise from true north. Raises InputError for an
-    impossible room.
+    altitude_deg, azimuth_deg: of the sun [n], azimuth clockwise from true north. Raises InputError
+    for a room of another kind, or an impossible one.
     """
     scene = build(room)
     return disc_visibility(scene, scene.to_room(sun.direction(altitude_deg, azimuth_deg)))[0] > 0
@@ -116,11 +121,11 @@ _NO_WINDOW = (
 def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None) -> Plan:
     """Return the plan of a set: slots, cost, coverage and warnings; write nothing.
 
-    weather: a weather year of the site, for the coverage of its daylight and the hours of
-    the set even; the set best needs one.
-    Raises NotEnoughDataError if no hour of the set has the sun above the horizon, if best has no
-    weather, or if even or best has weather without daylight on the days of the set; InputError for
-    a profile or room that cannot be used.
+    setup: of the site; request: names the set. weather: a weather year of the site, for the
+    coverage of its daylight and the hours of the set even; the set best needs one. Raises
+    NotEnoughDataError if no hour of the set has the sun above the horizon, if best has no weather,
+    or if even or best has weather without daylight on the days of the set; InputError for an
+    unknown set, and for a profile, filter or room that cannot be used.
     """
     site, room = setup.site, setup.room
     dates = (request.start, request.year, request.days)
@@ -179,8 +184,8 @@ def make_slots(
     """Return the slots of a plan: one for each hour, in order of time, with tags.
 
     exposures: of each slot. Tags: the equinox or solstice if it is at most a day away, such as
-    "march-equinox"; "low-sun" below 5 deg; in a box room also "sun-enters" (through a window) and
-    "sun-in-view" (of the camera). Raises InputError for an impossible box room.
+    "march-equinox"; "low-sun" below 5 deg of altitude; in a box room also "sun-enters" (through a
+    window) and "sun-in-view" (of the camera). Raises InputError for an impossible box room.
     """
     days = [sun.standard_date(t, setup.site.timezone) for t in hours.t_utc]
     seasons = {day: capture_days.season_tag(day, setup.site) for day in set(days)}
@@ -226,8 +231,8 @@ def run(
 ) -> tuple[Session, Plan]:
     """Write the plan that `request` describes into a new session folder; return session and plan.
 
-    out: the folder; weather: a weather year of the site, as `make_plan` uses it. Raises the errors
-    of `make_plan` and `create_session`.
+    out: the folder, which gets plan.csv and session.toml; weather: a weather year of the site, as
+    `make_plan` uses it. Raises the errors of `make_plan` and `create_session`.
     """
     plan = make_plan(setup, request, weather)
     return create_session(out, setup, plan.slots, plan.about(request)), plan
@@ -236,7 +241,8 @@ def run(
 def write_calendar(session: Session, made_utc: datetime) -> None:
     """Write the calendar plan.ics into a session's folder, from the slots in plan.csv.
 
-    made_utc: time of writing. Raises InputError if session.toml has no complete table [plan].
+    made_utc: time of writing, for the calendar. Raises InputError if session.toml has no complete
+    table [plan], or for a damaged plan.csv.
     """
     seconds, _, revision = _planned_cost(session)
     data = ics(session.slots(), session.site_file().site, seconds, made_utc, revision)
@@ -249,7 +255,8 @@ def write_sheets(
     """Write plan.html into a session's folder and return its path: plots, then a sheet per day.
 
     weather: a year, for a plot of the skies that the plan covers; notes: sentences to print on the
-    first page. Raises InputError if session.toml has no complete table [plan].
+    first page. Raises InputError if session.toml has no complete table [plan], for a damaged
+    plan.csv, and for an impossible room.
     """
     cost = _planned_cost(session)[:2]
     page = html(session.slots(), session.site_file(), cost, weather, notes)
@@ -279,7 +286,9 @@ def plan_warnings(
     """Yield warnings about the days and hours of a plan, each a sentence.
 
     They are about polar night, midnight sun, fewer hours than requested, clock changes, UTC as the
-    time zone of a distant site, and a plan that begins in the past.
+    time zone of a site over 30 degrees from Greenwich (two hours of solar time), and a plan that
+    begins in the past. days: local standard dates of the set, in order; hours: of the plan;
+    request: names set, count and today.
     """
     zone = site.timezone
     hours_by_day = Counter(sun.standard_date(t, zone) for t in hours.t_utc)
@@ -309,11 +318,11 @@ def plan_warnings(
 def summary(session: Session, plan: Plan) -> JsonTable:
     """Return counts, dates, cost, coverage and warnings of a plan, with the keys of `plan --json`.
 
-    slots, days: numbers of slots, and of days with slots; first, last: ids of slots; solar_noon:
-    local time on the first day, which reveals a longitude with a wrong sign, "" if unknown; frames,
-    megabytes: of all slots, at every heading; seconds_per_slot; size_is_known: whether SITE.toml
-    names the camera profile; tags: number of slots with each tag; coverage: fields of `Coverage`;
-    warnings: sentences for the user.
+    session: of the plan. Keys: session: its folder; slots, days: numbers of slots, and of days with
+    slots; first, last: ids of slots; solar_noon: clock time on the first day, which reveals a
+    longitude with a wrong sign, "" if unknown; frames, megabytes: of all slots, at every heading;
+    seconds_per_slot: as `Plan`; size_is_known: whether SITE.toml names the camera profile; tags:
+    number of slots with each tag; coverage: fields of `Coverage`; warnings: sentences for the user.
     """
     slots, setup = plan.slots, session.site_file()
     site, headings = setup.site, max(len(setup.camera.headings), 1)
@@ -337,7 +346,10 @@ def summary(session: Session, plan: Plan) -> JsonTable:
 
 
 def sentences(summary: JsonTable) -> list[str]:
-    """Return a plan's `summary` as sentences to print; the warnings are not among them."""
+    """Return sentences to print on a plan; its warnings are not among them.
+
+    summary: the result of `summary`.
+    """
     slots, days, tags = summary["slots"], summary["days"], summary["tags"]
     cost = f"{counted(summary['frames'], 'frame')}, {summary['seconds_per_slot']:g} s"
     sizes = " per slot; the size of the files is unknown, because no camera is stated"

@@ -32,8 +32,8 @@ SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-
 class DaylightHours:
     """Times with the sun above the horizon [n], and the sun's altitude and azimuth [n].
 
-    Angles are true, without refraction; the azimuth is clockwise from true north. Indices select
-    hours, as with an array.
+    t_utc: aware times. Angles are true, without refraction; the azimuth is clockwise from true
+    north. A sequence of indices selects hours, as with an array.
     """
 
     t_utc: tuple[datetime, ...]
@@ -102,7 +102,8 @@ def days_of_set(
 ) -> list[date]:
     """Return the local standard dates of a capture set, in order of time.
 
-    name: of `--set`; start, year, days: None if the user states none.
+    name: 4-day, 9-day, 12-day, month, even or best, as of `--set`; start, year, days: None if the
+    user states none; today: the local standard date at the site.
 
     - 4-day: equinoxes and solstices; 12-day: with the days before and after; 9-day: the 12-day set
       without September. They are of `year`, or else the next whose days are not before `start`, or
@@ -144,7 +145,7 @@ def season_tag(day: date, site: Site) -> str:
 
 
 def today_at(site: Site, now_utc: datetime) -> date:
-    """Return the local standard date of `site` at the moment `now_utc`."""
+    """Return the local standard date of `site` at the moment `now_utc`, an aware time."""
     return sun.standard_date(now_utc.astimezone(UTC), site.timezone)
 
 
@@ -182,8 +183,8 @@ def band_directions(site: Site, declinations: int = 41) -> Floats:
     """Return directions spread evenly over the part of the sky that the sun crosses in a year.
 
     They are unit vectors (x east, y north, z up) [n, 3] above the horizon, at declinations from
-    -23.44 to 23.44 deg. declinations: number of different ones; each occurs at nine times as many
-    hour angles.
+    -23.44 to 23.44 deg, of which equal numbers stand for equal areas of the sky. declinations:
+    number of different ones; each occurs at nine times as many hour angles.
     """
     steps = 2 * (np.arange(declinations) + 0.5) / declinations - 1
     sines = steps * np.sin(np.radians(sun.OBLIQUITY_DEG))  # equal steps have equal areas
@@ -197,19 +198,19 @@ def band_directions(site: Site, declinations: int = 41) -> Floats:
 
 
 def sun_band_percent(hours: DaylightHours, site: Site) -> float:
-    """Return the share [%] of the sun band that is within 10 deg of the sun of one of some hours.
+    """Return the share [%] of the sun band that is within 10 deg (chosen) of the sun in any hour.
 
-    The sun band is the part of the sky that the sun crosses in a year; shares are of its area.
-    Without hours the result is 0.
+    The sun band is the part of the sky that the sun crosses in a year at the site; the share is of
+    its area. hours: such as those of a plan; without hours the result is 0.
     """
     band = band_directions(site)
     return 100.0 * float(near_planned(band, hours).mean()) if len(band) else 0.0
 
 
 def near_planned(directions: Floats, hours: DaylightHours) -> Mask:
-    """Return a mask [n]: True for directions within 10 deg of the sun of one of some hours.
+    """Return a mask [n]: True for directions within 10 deg (chosen) of the sun in any hour.
 
-    directions: unit vectors (x east, y north, z up), [n, 3].
+    directions: unit vectors (x east, y north, z up), [n, 3]; hours: such as those of a plan.
     """
     planned = sun.direction(hours.altitude_deg, hours.azimuth_deg)
     return (directions @ planned.T).max(axis=1, initial=-1.0) >= np.cos(np.radians(NEAR_DEG))
@@ -232,8 +233,8 @@ def _sky_cells(dni_wm2: Floats, dhi_wm2: Floats) -> NDArray[np.int64]:
 def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -> Coverage:
     """Return the shares of a year that some planned hours cover.
 
-    weather: a year of the site. The shares of its daylight are None without weather, and without
-    hours.
+    weather: a year of the site, with at least one hour of daylight. The shares of its daylight are
+    None without weather, and without hours.
     """
     band = sun_band_percent(hours, site)
     if weather is None or not len(hours):
@@ -263,9 +264,9 @@ POOL_HOURS = 2200
 def medoids(points: Floats, count: int, rng: np.random.Generator) -> Indices:
     """Return ascending indices of the points nearest to the centres of k-means clusters, [count].
 
-    points : [n, k]; count : number of clusters; rng : of their first centres. For an empty cluster,
-    the point furthest from its own centre is taken. All indices are returned if there are no more
-    than `count` points.
+    points : n points with k coordinates each, [n, k]; count : number of clusters; rng : of their
+    first centres. For an empty cluster, the point furthest from its own centre is taken. All
+    indices are returned if there are no more than `count` points.
     """
     from scipy.cluster.vq import kmeans2
 
@@ -306,11 +307,13 @@ def even_hours(
 def best_hours(
     hours: DaylightHours, weather: Weather, site: Site, room: Room | None, count: int
 ) -> Indices:
-    """Return ascending indices of `count` hours whose captures would most lower the uncertainty.
+    """Return ascending indices of the hours whose captures would most lower the uncertainty.
 
-    It is the variance of the daylight of the weather year that remains, by a covariance kernel for
-    the facades of `room`, after the captures. The choice is greedy: each hour is the best next to
-    those already chosen. Hours without daylight in the weather are not chosen.
+    They are at most `count`, indices into `hours`. The uncertainty is the variance of the light of
+    the weather year's daylight hours that remains after the captures, by the covariance kernel of
+    the transport model for the facades of `room` (None: unknown facades). The choice is greedy:
+    each hour is the one that lowers it most, next to those already chosen. Hours without daylight
+    in the weather are not chosen. Of more than 2200 hours, evenly spaced ones can be chosen.
     """
     lit = weather.daylight()
     year = lit[:: max(len(lit) // YEAR_HOURS, 1)]

@@ -25,7 +25,10 @@ MAX_OFF_DEG = 12.0
 
 
 def captured_ids(session: Session) -> set[str]:
-    """Return the ids of the slots with a complete bracket, by the session's journal."""
+    """Return the ids of the slots with a complete bracket, by the session's journal.
+
+    The set is empty without a journal; damaged lines of it are skipped.
+    """
     states = read_slot_states(session).slots
     return {slot for slot, state in states.items() if state.outcome == "done"}
 
@@ -35,11 +38,14 @@ def make_up(
 ) -> tuple[list[Slot], list[JsonTable], list[str]]:
     """Return make-up slots for missed ones, their pairs, and the ids of missed slots without one.
 
+    missed: slots to repeat; planned: all slots of the plan; now_utc: decides which day is tomorrow.
     A pair has the keys missed and slot (ids), and sun_off_deg, the angle between the two suns.
+    Nothing is written.
 
     A make-up is at the same hour of standard time, on the earliest of the 370 days from tomorrow
     that has the missed day's declination within 0.2 deg (also on the other side of the solstice),
-    the sun up and within 12 deg of the missed one, and no planned slot at that time.
+    the sun up and within 12 deg of the missed one, and no planned slot at that time. It has the
+    exposures and tags of the missed slot, and the tag ``makeup:ID`` with the id of that slot.
     """
     site, occupied = setup.site, {slot.id for slot in planned}
     days = span(sun.standard_date(now_utc, site.timezone) + timedelta(days=1), 370)
@@ -92,7 +98,10 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
     """Add make-up slots for missed ones to plan.csv; return what was missed and what was added.
 
     If a make-up was missed, the original slot gets another one. No slot is removed. If slots are
-    added, the earlier plan is stored as plan.N.csv, with N its revision (0 for the first).
+    added, the earlier plan is stored as plan.N.csv, with N its revision (0 for the first), and the
+    table [plan] of session.toml is updated. now_utc: a slot is missed if its bracket has not begun
+    a grace, the session's, before this time. Raises InputError for a damaged plan.csv or
+    session.toml.
 
     The keys are those of `--json`. missed: number of slots before now_utc that were captured
     neither themselves nor by a make-up; made_up: make-ups added now, each with the ids missed and
@@ -166,7 +175,7 @@ def _complete_interrupted_replan(session: Session) -> PlanTable:
 
 
 def sentences(answer: JsonTable) -> list[str]:
-    """Return what `run` returned as sentences to print."""
+    """Return sentences to print on make-up slots; answer: the result of `run`."""
     recovered, made_up, lost = answer["recovered"], answer["made_up"], answer["lost"]
     again = f"; {recovered} missed slots have been made up for" if recovered else ""
     if not answer["missed"]:

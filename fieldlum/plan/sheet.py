@@ -42,10 +42,10 @@ def ics(
 ) -> bytes:
     """Return the content of an iCalendar file (RFC 5545) with an event for each day with slots.
 
-    An event ends `seconds_per_slot` (at least a minute) after its last slot begins; its alarm is 20
-    minutes before the first, to set up the camera. made_utc: time of writing; revision: of the
-    plan, 0 for the first. Events of later revisions replace those of the same day, because they
-    have the same UID.
+    An event begins with the day's first slot. It ends `seconds_per_slot` (at least a minute) after
+    the last slot of the day begins; its alarm is 20 minutes before the first, to set up the camera.
+    made_utc: time of writing; revision: of the plan, 0 for the first. Events of later revisions
+    replace those of the same day, because they have the same UID.
     """
     from icalendar import Alarm, Calendar, Event
 
@@ -96,7 +96,7 @@ def html(
     """Return a plan as one page of HTML without other files: plots, then a sheet for each day.
 
     cost: seconds and megabytes of one slot; weather: a year, for a second coverage plot, by
-    irradiance; notes: sentences to print above the plots.
+    irradiance; notes: sentences to print above the plots. Raises InputError for an impossible room.
     """
     from jinja2 import Environment, PackageLoader, select_autoescape
 
@@ -136,8 +136,9 @@ def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) ->
 def irradiance_figure(hours: days.DaylightHours, site: Site, weather: Weather) -> Figure:
     """Return a plot of how often a weather year has each direct and diffuse irradiance.
 
-    hours: planned ones, which are points at the irradiance that the weather year has then. As
-    Figures 16 and 17 of Liu, Colburn and Inanici (2020).
+    The plot has direct normal irradiance to the right, diffuse horizontal upwards. hours: planned
+    ones, which are points at the irradiance that the weather year has then. weather: with at least
+    one hour of daylight. As Figures 16 and 17 of Liu, Colburn and Inanici (2020).
     """
     from matplotlib.colors import LogNorm
 

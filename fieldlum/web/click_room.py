@@ -35,7 +35,10 @@ _CLICKED_FIELDS = ("width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m",
 
 @dataclass(frozen=True, slots=True)
 class ClickedPicture:
-    """The panorama whose corners the user clicks; slot: its id; grid: its size and heading."""
+    """The panorama on which the user clicks the room's corners.
+
+    session: that has the panorama; slot: id of the panorama's slot; grid: its size and heading.
+    """
 
     session: Session
     slot: str
@@ -43,9 +46,10 @@ class ClickedPicture:
 
     @classmethod
     def of(cls, session: Session, slot: str = "") -> ClickedPicture:
-        """Return the panorama of a slot; for "" that with the highest sun.
+        """Return the panorama of a slot; for "" that with the highest sun in the plan.
 
-        Raises InputError if it does not exist, NotEnoughDataError if no slot is merged.
+        Raises InputError if it does not exist or cannot be read, NotEnoughDataError if no slot is
+        merged.
         """
         merged = {path.stem: path for path in session.panorama_files()}
         if not merged:
@@ -65,9 +69,10 @@ def clicked_table(clicked: ClickedRoom) -> JsonTable:
     """Return a clicked room as JSON for the page.
 
     rows: {"name", "value", "u"} for each clicked length [m] and angle [deg], u: its standard
-    uncertainty; those of windows are named window.NUMBER.left_m, from 0; faces: compass direction
-    of the south wall; walls: the wall of each window; misfit_px: rms over the clicks; notes: a
-    sentence for each click more than 3 px from the room.
+    uncertainty. Names are fields of `Room`, and for windows window.NUMBER.FIELD of `Window`, with
+    numbers from 0, such as window.0.left_m. faces: compass direction of the wall "south"; walls:
+    the name in the room of each window's wall; misfit_px: rms over the clicks; notes: a sentence
+    for each click more than 3 px from the room.
     """
     room = clicked.room
     rows = [(name, getattr(room, name)) for name in _CLICKED_FIELDS]
@@ -84,11 +89,12 @@ def clicked_table(clicked: ClickedRoom) -> JsonTable:
 
 
 def save_room(session: Session, clicked: ClickedRoom, *, replace_room: bool) -> tuple[Path, bool]:
-    """Write scene/clicked.toml, a complete SITE.toml with the clicked room.
+    """Write the session's scene/clicked.toml, a complete SITE.toml with the clicked room.
 
-    Also write the room into the session if it has none, or if `replace_room`. Return the path of
-    clicked.toml, and whether the room was written into the session. If the session has a box room,
-    the file has its values of what clicks do not measure, such as reflectances.
+    Also write the room into session.toml if that has none, or if `replace_room`. Return the path of
+    clicked.toml, and whether the room was written into session.toml. If the session has a box room,
+    clicked.toml has its values of what clicks do not measure, such as reflectances. An earlier
+    clicked.toml is replaced. Raises InputError if session.toml cannot be read.
     """
     setup = session.site_file()
     room = clicked.room
@@ -108,7 +114,11 @@ def save_room(session: Session, clicked: ClickedRoom, *, replace_room: bool) -> 
 
 
 def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]:
-    """Return the web routes of the page; camera_height_m: initial camera height on the page [m]."""
+    """Return the web routes of the page of `fieldlum scene click`.
+
+    picture: on which the user clicks; camera_height_m: initial value of the camera's height on the
+    page.
+    """
     session = picture.session
 
     def describe(request: Request) -> Response:
@@ -126,13 +136,20 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
         return JSONResponse(answer)
 
     def show(clicked: ClickedRoom, replace_room: bool) -> JsonTable:
-        """Return the clicked room, its edges and sun patches in pixels; nothing is written."""
+        """Return `clicked_table` with the keys lines and patches; nothing is written.
+
+        They are the edges of the room (`outline_pixels`) and the outlines of its sun patches, in
+        pixels of the picture. replace_room has no effect.
+        """
         lines = outline_pixels(clicked.room, picture.grid)
         patches = _patch_outlines(clicked.room, picture)
         return clicked_table(clicked) | {"lines": lines, "patches": patches}
 
     def save(clicked: ClickedRoom, replace_room: bool) -> JsonTable:
-        """Write the clicked room; return the file, and whether the session got the room."""
+        """Write the clicked room with `save_room`; return its results by the keys file and taken.
+
+        replace_room: whether an earlier room of the session is replaced.
+        """
         path, is_written = save_room(session, clicked, replace_room=replace_room)
         return {"file": str(path), "taken": is_written}
 
@@ -157,13 +174,22 @@ def _click_route(
     """
 
     def answer(body: Mapping[str, Any]) -> JsonTable:
-        """Return what `use` returns for the clicks in a request's body."""
+        """Return what `use` returns for the room of the clicks in a request's body.
+
+        body: its keys are clicks (for `clicks_from_rows`), camera_height_m, and replace: whether
+        the session's room may be replaced. Raises InputError for clicks that form no room, and
+        KeyError, TypeError or ValueError for a missing or wrong key.
+        """
         clicks, height_m = clicks_from_rows(body["clicks"]), float(body["camera_height_m"])
         clicked = room_from_clicks(clicks, grid, height_m)
         return use(clicked, body.get("replace") is True)
 
     async def handle(request: Request) -> Response:
-        """Answer a request; status 400 if fields of its body are missing or wrong."""
+        """Answer a request with the result of `answer` as JSON, or {"error": sentence}.
+
+        Raises HTTPException with status 400 if fields of its body are missing or wrong, and as
+        `json_body` does for a body of over 200 000 bytes or other content.
+        """
         body = await json_body(request, 200_000)  # bytes: far more than the clicks of a room
         try:
             return JSONResponse(await asyncio.to_thread(answer, body))

@@ -324,8 +324,9 @@ def _lan_address() -> str:
 def qr_lines(text: str) -> list[str]:
     """Return a QR code of `text` as lines of half blocks, with the required margin.
 
-    text: such as an address of up to a hundred characters. A line shows two rows of modules. Light
-    modules are drawn: print the lines in white on black.
+    text: such as an address; OpenCV's error is raised above about 2900 bytes, the capacity of a QR
+    code. A line shows two rows of modules. Light modules are drawn: print the lines in white on
+    black.
     """
     import cv2
 

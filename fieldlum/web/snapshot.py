@@ -43,7 +43,10 @@ _BINS = 86400 // BIN_S
 
 
 class LineTail:
-    """State that follows from the lines of a growing file; `update` reads the new lines."""
+    """State that follows from the lines of a growing file; `update` reads the new lines.
+
+    Subclasses keep the state, with `clear` and `add`. path: of the file, which need not exist.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path, self._offset, self._inode = path, 0, 0
@@ -56,9 +59,10 @@ class LineTail:
         """Change the state by one line of the file; ignore a damaged line."""
 
     def update(self) -> Self:
-        """Add the complete unread lines; read a replaced or shortened file from its beginning.
+        """Add the complete unread lines, and return this object.
 
-        A missing or unreadable file changes nothing: it may be on a share that is away.
+        A replaced or shortened file is read from its beginning. A missing or unreadable file
+        changes nothing: it may be on a share that is away.
         """
         with suppress(OSError), open_to_read(self._path) as file:
             about = os.fstat(file.fileno())
@@ -77,9 +81,9 @@ class LineTail:
 class JournalFollower(LineTail):
     """State that follows from the journal so far.
 
-    states: state of each slot. events: the latest 60 for the page, without frames, starts of
-    brackets and illuminances. away: time (UTC) since when devices do not answer, by device. opened:
-    the last `open` event (start of a capture) without a `close`, or None.
+    states: state of each slot. events: the latest 60 for the page, oldest first, without frames,
+    retakes, starts of brackets and illuminances. away: time (UTC) since when devices do not answer,
+    by device. opened: the last `open` event (start of a capture) if no `close` follows, else None.
     """
 
     def clear(self) -> None:
@@ -110,8 +114,9 @@ class JournalFollower(LineTail):
 class DayBins(LineTail):
     """Mean irradiances in 720 bins of two minutes, from the logger's file of one UTC day.
 
-    flagged: mask [720], True in a bin with an error that the instrument reported; status: number of
-    rows by such an error; last: time and global irradiance [W/m2] of the last row, or None.
+    Bins are counted from midnight UTC. flagged: mask [720], True in a bin with an error that the
+    instrument reported; status: number of rows by text of such an error; last: time (UTC) and
+    global horizontal irradiance [W/m2], None if not measured, of the last row; None without rows.
     """
 
     def clear(self) -> None:
@@ -136,7 +141,7 @@ class DayBins(LineTail):
 
     @property
     def means_wm2(self) -> Floats:
-        """Mean GHI, DNI and DHI of each bin, in this order, [720, 3]; NaN without a reading."""
+        """Mean GHI, DNI and DHI of each bin in W/m2, in this order, [720, 3]; NaN: no reading."""
         return np.where(self._count > 0, self._sum_wm2 / np.maximum(self._count, 1), np.nan)
 
 
@@ -174,8 +179,8 @@ def _ends(path: Path, written_ns: int) -> tuple[float, float] | None:
 def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
     """Return a panorama in false colour as PNG, at most `width` and 1840 pixels wide.
 
-    The scale is logarithmic from low to high [cd/m2]. Raises InputError for a damaged file, OSError
-    for a missing one.
+    A larger panorama is reduced, a smaller one is not enlarged. The scale is logarithmic from low
+    to high [cd/m2]. Raises InputError for a file that is missing or cannot be read.
     """
     import cv2
 
@@ -196,11 +201,13 @@ def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
 def day_curve(day: date, site: Site, bins_of: Callable[[date], DayBins]) -> JsonTable:
     """Return the irradiance of a local day in n bins of two minutes, as JSON for the page.
 
-    Lists [n]: minutes (from midnight to the middle of the bin), ghi, dni, dhi and clear_ghi (of a
-    cloudless sky) in W/m2, None for a missing value; flagged: True where the instrument reported an
-    error, or a value is impossible for the sun's altitude. flagged_bins, impossible_bins: number of
-    bins with the first and with the second fault; status: number of rows by reported error. Bins at
-    night without a reading are omitted. bins_of: returns the bins of a UTC day.
+    Lists [n]: minutes (from local midnight to the middle of the bin), ghi, dni, dhi and clear_ghi
+    (of a cloudless sky) in W/m2, None for a missing value; flagged: True where the instrument
+    reported an error, or a value is outside the limits of BSRN for the sun's altitude.
+    flagged_bins, impossible_bins: number of bins with the first and with the second fault; status:
+    number of rows by reported error, of the one or two UTC days that the local day is in. Bins at
+    night without a reading are omitted. day: by clock time at the site; bins_of: returns the bins
+    of a UTC day.
     """
     zone = ZoneInfo(site.timezone)
     start = datetime(day.year, day.month, day.day, tzinfo=zone).astimezone(UTC)
@@ -262,8 +269,8 @@ _SENTENCES: dict[str, tuple[Level, str]] = {
 def event_sentence(event: JournalEvent) -> tuple[Level, str] | None:
     """Return the level (info, warn, fail) and the sentence of an event of the journal.
 
-    None for an event that needs no attention, such as a bracket done without a doubt. The sentence
-    of an unknown kind of event is the name of the kind, its level "info".
+    The result is None for an event that needs no attention, such as a bracket done without a doubt.
+    The sentence of an unknown kind of event is the name of the kind, its level "info".
     """
     kind, why = event["event"], event.get("why", "")
     if kind in _NOT_LISTED or (kind == "done" and (not why or why == "imported")):
@@ -279,7 +286,8 @@ def event_sentence(event: JournalEvent) -> tuple[Level, str] | None:
 def is_running(journal: JournalFollower) -> bool:
     """Return whether a capture runs on this computer, by the journal and the list of processes.
 
-    False if the journal has no open capture, or one that began before this boot or elsewhere.
+    It does if the journal's open capture has the number of an existing process. It does not if the
+    journal has no open capture, or one that began before this boot or on another computer.
     """
     opened = journal.opened
     if opened is not None and opened.get("boot_id") in ("", None, boot_id()):
@@ -323,6 +331,7 @@ class _Present(NamedTuple):
 class Snapshots:
     """Tables of one session for the page of `fieldlum watch`, usable from several threads.
 
+    Each method reads what is new in the session's files, and waits until no other thread does.
     wall_clock: returns the present time (UTC). Raises InputError for a session.toml that cannot be
     used.
     """
@@ -343,15 +352,18 @@ class Snapshots:
     def state(self) -> JsonTable:
         """Return the present state of the session, as JSON for the page.
 
-        name, timezone: of the site; folder; now_utc, now_local, today: present time; rehearsal:
-        True if time is simulated; running: whether a capture runs on this computer; counts: number
-        of slots by state (see `calendar`); slots: their number; next: the row of the next slot in
-        `calendar`, None if none is left; latest: {"slot", "verdict", "local"} and the scale of the
+        name, timezone: of the site; folder: the session's name; now_utc, now_local, today: present
+        time, in UTC and by the site's clock, and date; rehearsal: True if time is simulated;
+        running: whether a capture runs on this computer; counts: number of slots by state (see
+        `calendar`); slots: number of all; next: the row in `calendar` of the slot that is running
+        or next, None if none is left; latest: {"slot", "verdict", "local"} and `scale_of` of the
         newest panorama, None without one; devices: camera, camera_battery, camera_clock_offset_s
         [s], and away (UTC since when, by device); irradiance: {"t_utc", "ghi_wm2"} of the last
-        reading or None; disk: {"free_bytes", "days"} (days of captures that fit); computer:
-        `battery`; events: {"level", "text", "local", "times"} each, newest first; findings: of
-        `doctor` without devices; version: changes with the plan and the slots' states.
+        reading of this UTC day or the one before, or None; disk: {"free_bytes", "days"} (days of
+        captures that fit, None if unknown); computer: `battery`; events: the latest 25, {"level",
+        "text", "local", "times"} each (times: how often in sequence), newest first; findings: of
+        `doctor` without devices, at most five minutes old; version: changes with the plan and the
+        slots' states. Raises InputError for a session.toml that cannot be read.
         """
         with self._lock:
             present = self._present()
@@ -385,7 +397,8 @@ class Snapshots:
     def moment(self) -> Moment:
         """Return whether no bracket is running or near, and how many slots are captured.
 
-        In such quiet time the computer may predict the year (`prediction_so_far`).
+        In such quiet time the computer may predict the year (`prediction_so_far`). It is always
+        quiet if no capture runs on this computer.
         """
         with self._lock:
             present = self._present()
@@ -397,11 +410,12 @@ class Snapshots:
             return Moment(is_quiet=is_quiet, captured=outcomes.count("done"))
 
     def calendar(self) -> JsonTable:
-        """Return the plan's local days with their slots, as JSON: days, each with date and slots.
+        """Return the plan's local days with their slots, as JSON for the page.
 
-        A slot has slot (its id), t_utc, local, day (texts of its time), state (done, missed,
-        aborted, made up (by another slot), running, to do), picture (whether it is merged) and
-        sun_altitude_deg (true).
+        Its key days is a list of {"date", "slots"} in order of time. A row of slots has slot (its
+        id), t_utc, local, day (texts of its time), state (done, missed, aborted, made up (by
+        another slot), running, to do), picture (whether it is merged) and sun_altitude_deg (true,
+        without refraction). Local is by clock time at the site.
         """
         with self._lock:
             present = self._present()
@@ -414,8 +428,9 @@ class Snapshots:
     def day(self, day: date) -> JsonTable:
         """Return a local day as JSON for the page; keys: date, slots, scale and irradiance.
 
-        slots: their rows of `calendar`, with `verdict` added; scale: `scale_of` all pictures of the
-        day; irradiance: `day_curve`.
+        slots: the day's rows of `calendar`, with the key verdict: that of `merge`, for a slot that
+        is not merged the reason in the journal, or ""; scale: `scale_of` all pictures of the day;
+        irradiance: `day_curve`.
         """
         with self._lock:
             present = self._present()

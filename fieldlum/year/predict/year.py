@@ -227,8 +227,9 @@ def camera_u_rel(session: Session) -> dict[str, float]:
     """Return the relative standard uncertainties that all captures share, by part of the camera.
 
     The names of parts and the values are those of `shared_u_rel` of the newest panorama, without
-    "exposures", whose error each bracket has for itself. The result is empty if neither this
-    panorama nor the newest sidecar states any. Raises InputError if one of the two is damaged.
+    "exposures", whose error each bracket has for itself. If that panorama (of 0.1.0) states none,
+    "scale" is from the newest sidecar that can be read; empty if that states none either. Raises
+    InputError for a damaged panorama.
     """
     files, sidecar = session.panorama_files(), newest_sidecar(session)
     stated = budget.shared_u_rel(read_panorama(files[-1])) if files else {}
