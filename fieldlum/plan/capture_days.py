@@ -94,6 +94,7 @@ def _event_dates(
     years = range(earliest.year, earliest.year + 3) if year is None else (year,)
     first = earliest + timedelta(days=margin) if year is None else date.min
     dates = ((season_date(k, which, site) for k in years) for which in seasons)
+    # of each season, one of the three years, or the only date of `year`, is not before `first`
     return sorted(next(day for day in of_season if day >= first) for of_season in dates)
 
 
