@@ -44,7 +44,8 @@ class Outcome:
     """Result of the demo.
 
     report: path of the report page; seconds: duration of each stage by its name [s]; figures: rows
-    of the printed table, each with name, value and remark.
+    of the printed table, each with name ("" for a second value of the row before), value with unit,
+    and remark.
     """
 
     report: Path
@@ -55,7 +56,8 @@ class Outcome:
 def prepare(folder: Path) -> Session:
     """Return the session in `folder`; if there is none, plan nine days in the shipped office.
 
-    Raises InputError for a session of another site, to which simulated frames would be added.
+    The plan is written to `folder`. Raises InputError for a session of another site, to which
+    simulated frames would be added.
     """
     from fieldlum import plan
 
@@ -73,8 +75,8 @@ def prepare(folder: Path) -> Session:
 def capture(session: Session, completed: Callable[[str], object] = lambda slot: None) -> None:
     """Capture all due slots with a simulated camera and pyranometer.
 
-    The clock jumps from slot to slot, so that nothing waits.
-    completed: called with the name of each slot as soon as its bracket is complete.
+    The clock jumps from slot to slot, so that nothing waits. completed: called with the id of each
+    slot (`Slot.id`) as soon as its bracket is complete.
     """
     from fieldlum import capture as stage
     from fieldlum.capture.bracket import FrameChecks
@@ -101,7 +103,7 @@ def merged_against_truth(session: Session) -> tuple[float, float, int]:
 
     The three values are the median absolute relative error (median of the maps' medians), the mean
     share of pixels within 5 %, both as fractions, and the number of maps. Maps without a truth are
-    skipped, and pixels with a truth of 0.
+    skipped, and pixels with a truth of 0. Without any map the fractions are NaN.
     """
     from fieldlum.optics.images import read_panorama
 
@@ -178,10 +180,11 @@ def run(
 ) -> Outcome:
     """Run all stages in `folder`, and return the outcome.
 
-    preset: a name in `PRESETS`. weather: a weather file; None: the shipped Seattle year. show:
-    called with the name of each stage, returns a context manager that shows its progress.
-    workers: number of processes; from two, brackets are merged while later ones are captured.
-    Results that are already in `folder` are used again.
+    folder: of the session, created if needed. preset: a name in `PRESETS`. weather: a weather file;
+    None: the shipped Seattle year. show: called with the name of each stage, returns a context
+    manager that shows its progress. workers: number of processes; from two, brackets are merged
+    while later ones are captured. Results that are already in `folder` are used again. Raises
+    InputError as `prepare`, and for a weather file that cannot be used.
     """
     from fieldlum import merge, pair, report
     from fieldlum.learn import train

@@ -146,15 +146,17 @@ def load_pairs(
     Returns
     -------
     Dataset
-        `luminance_cdm2` [n, H, 2H] without the sun's disc, `disc_lx` [n], `light` (irradiance and
-        sun angles of the n hours), `patch_cdm2` [n, H, 2H] or None.
+        `luminance_cdm2` [n, H, 2H] without the sun's disc, `disc_lx` [n] (illuminance of the disc
+        at the lens, on a plane normal to the sun), `light` (irradiance and sun angles of the n
+        hours), `patch_cdm2` [n, H, 2H] (luminance by direct sun on surfaces) or None.
 
     Raises
     ------
     InputError
-        A cell or a picture cannot be read; the error names the line.
+        A file is missing, a cell (the error names its line), a picture or a scene cannot be read,
+        or the scene was fitted to captures of another heading or room.
     NotEnoughDataError
-        No usable row is in the file.
+        No usable row is in the file, or the session has no pairs.csv.
 
     Examples
     --------
@@ -197,7 +199,8 @@ def fit(
     seed
         Seed of everything random; it is stored in the model folder.
     out
-        A model folder for weights.npz, config.json and scores.json; None writes nothing.
+        A model folder for weights.npz, config.json and scores.json; None keeps nothing. If it has a
+        model of the same data and options, this is read again and nothing is trained.
 
     Returns
     -------
@@ -207,9 +210,12 @@ def fit(
     Raises
     ------
     NotEnoughDataError
-        Fewer than two usable hours.
+        Fewer than two usable hours, or too few hours or too little time for the named model.
     InputError
-        `data` is not the result of `load_pairs`.
+        `data` is not the result of `load_pairs`, its room is impossible, or `out` cannot be
+        written.
+    KeyError
+        No model has the name `model`.
 
     Examples
     --------
@@ -343,7 +349,8 @@ def predict_year(
     maps
         Also store every map, as maps.zarr in the folder (0.7 GB for a year at 460 x 230).
     occupancy_file
-        When the room is used; None: 08:00 to 18:00 every day.
+        A csv with columns days, start, end (``mon-fri,08:00,18:00``), or with a column occupied of
+        8760 hours, 0 or 1; None: 08:00 to 18:00 every day.
     label_shift_min
         Added to the times in the weather file, where its labels are known to be off. [min]
     force
@@ -360,7 +367,7 @@ def predict_year(
     InputError
         The model or the weather cannot be read, or they are of different places.
     NotEnoughDataError
-        The weather has no daylight.
+        The weather has no daylight, or none in the occupied hours.
 
     Examples
     --------

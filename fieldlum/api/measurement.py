@@ -245,7 +245,8 @@ def plan_captures(
     out
         A new session folder for the plan; None writes nothing.
     start, year, days
-        First local date; year of the event dates; length of a month or of the window.
+        First local date; year of the equinoxes and solstices, or of a first date on 1 January;
+        number of days, for ``month``, ``even`` and ``best``.
     count
         Number of hours of ``even`` (default 200) and ``best`` (default 50).
     weather

@@ -80,11 +80,13 @@ def run(
 ) -> JsonTable:
     """Score all models, write tables and a chart into `out`; return what `bench --json` prints.
 
-    loaded: the pairs and the models. with_stress: also test conditions in which methods fail.
-    budget_min: minutes of training for the dense network; render_hours: number of hours for which
-    Radiance is timed. Keys: models: rows of `score_row` and `radiance_row`; chosen, reason: as in
-    `ModelSelection`. Files: bench.md, scores.csv and scores.png; with stress stress.csv too. Raises
-    NotEnoughDataError for a stress test without test hours, if there is no second day.
+    loaded: the pairs and the models. with_stress: also test conditions in which methods fail, with
+    one model (the first transport model, else the first). budget_min: minutes of training for the
+    dense network; render_hours: number of hours for which Radiance is timed. Keys: models: rows of
+    `score_row` and `radiance_row`; chosen, reason: label of the model that `choose_model` chose,
+    and why. Files: bench.md, scores.csv and scores.png; with stress stress.csv too. Raises the
+    errors of `score_row`, and NotEnoughDataError for a stress test of a single hour without test
+    hours.
     """
     data, test = loaded.data, loaded.test
     rows: list[Mapping[str, object]] = []
@@ -143,7 +145,7 @@ def _colour(name: str) -> str:
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
     """Return the indices of the points (x, y) on the Pareto front, by rising x and falling y.
 
-    No other point has both a smaller x and a smaller y.
+    A point is on it if no other point has a smaller or equal x and y; of equal points, the first.
     """
     order = sorted(range(len(points)), key=lambda k: points[k])
     lowest = np.minimum.accumulate([np.inf, *(points[k][1] for k in order)])
@@ -151,9 +153,10 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Draw each model's log10 MSE (paper mode) over its CPU seconds of training and of one map.
+    """Draw each model's `paper_log10_mse` over its CPU seconds of training and of one map.
 
-    path: of the picture to write; rows: results of `score_row`.
+    path: of the picture to write; rows: results of `score_row` and `radiance_row`. Rows without a
+    number for an axis are not drawn.
     """
     figure = new_figure(11.0, 4.8, dpi=150)
     labels = {"fit_cpu_s": "training", "predict_cpu_s_per_map": "one map"}

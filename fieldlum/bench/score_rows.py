@@ -46,9 +46,11 @@ class Spec:
 
 
 def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
-    """Return the models to compare, from texts such as "transport:none" or the path of a folder.
+    """Return the models to compare, one for each text: NAME, NAME:PATCH, or a model's folder.
 
-    Raises InputError for a text that is neither a model nor a model folder.
+    NAME: a key of `MODELS`; PATCH: absolute (the default), gain or none; a folder: its path, with a
+    config.json. Raises InputError for a text that is neither a model nor a model folder, and for a
+    damaged config.json.
     """
     return tuple(_parse_spec(text.strip()) for text in texts)
 
@@ -113,8 +115,9 @@ def load(
 def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dataset:
     """Return the test hours that no model was trained on.
 
-    train: hours that new models are trained on; folders: of models that are already trained. Raises
-    NotEnoughDataError if no hour remains.
+    train: hours that new models are trained on; folders: of models that are already trained; hours
+    are compared by their slots. Raises NotEnoughDataError if no hour remains, InputError for a
+    folder whose config.json is missing or damaged.
     """
     trained = (models.read_config(folder).training.slots for folder in folders)
     training_slots = set(train.slots).union(*trained)
@@ -131,9 +134,12 @@ def score_row(
     """Fit one model to `data` and test it; return a row of the score table, and the trial.
 
     spec: the model; one that is already trained is not fitted again. test: truth of the test hours;
-    None: test on held-out days of `data`. seed: of the fit; budget_s: time limit of the training
-    [s]. Keys of the row: name (the model's label), fit_s, fit_cpu_s [s], n_train, seed, patch and
-    those of `scores.summary`. Raises InputError for a trained model without test hours.
+    None: test on held-out days of `data`, which must have two hours or more. seed: of the fit;
+    budget_s: time limit of the training [s]. Keys of the row: name (the model's label), fit_s,
+    fit_cpu_s [s], n_train, seed, patch and those of `scores.summary`. Raises InputError for a
+    trained model without test hours or one that cannot be read, NotEnoughDataError for too few
+    hours or too little time for the model, FloatingPointError for a predicted value that is not
+    finite.
     """
     patch = patch_mode(data, spec.patch)
     if test is None:
@@ -180,8 +186,9 @@ def radiance_row(data: Dataset, hours: int) -> dict[str, object] | None:
 
     hours: number of bright hours of `data` to render; 0: none. Keys predict_s_per_map,
     predict_cpu_s_per_map: mean of these hours [s], at the map size of `data`, on one core, with the
-    paper's options. The room is the box of [room]. Its sky is uniform with the hour's illuminance,
-    which costs as much as a Perez sky. Return None without hours or a box room.
+    paper's options; n_test: number of rendered hours; those of `ERRORS`: None. The room is the box
+    of [room]. Its sky is uniform with the hour's illuminance, which costs as much as a Perez sky.
+    Return None without hours or a box room. Raises InputError for an impossible room.
     """
     room = data.setup.room
     if room is None or room.kind != "box" or hours < 1:

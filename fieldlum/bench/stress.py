@@ -39,8 +39,8 @@ REPORTED_SHARE = 1.0 / 3.0  # share of the error that the model must expect; cho
 class Case:
     """A condition to test.
 
-    name: of the condition; train, test: data with the condition applied; normal: name of the case
-    with which its error is compared; seed: of the fit.
+    name: of the condition; train, test: hours to fit to and to predict, changed as the condition
+    states; normal: name of the case with which its error is compared; seed: of the fit.
     """
 
     name: str
@@ -111,8 +111,8 @@ def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
 def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
     """Return the data with noise in DNI, and with a DHI that keeps the global irradiance.
 
-    share: standard deviation of the ln of the factor on DNI; seed: of the noise. DHI is at least
-    1 W/m2.
+    share: standard deviation of the ln of the factor on DNI; seed: of the noise. The beam is at
+    most 97 % of the global irradiance, and DHI at least 1 W/m2.
     """
     light = data.light
     sin_altitude = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.02)
@@ -172,7 +172,11 @@ def _months(data: Dataset) -> NDArray[np.int64]:
 
 
 def cases(data: Dataset, test: Dataset) -> Iterator[Case]:
-    """Yield every condition that the data allow, beginning with the normal case."""
+    """Yield every condition that the data allow, beginning with the normal case.
+
+    data, test: hours to fit to and to predict, without any condition. The normal case of another
+    case precedes it.
+    """
     yield Case("normal", data, test)
     # five fits of the normal case differ only by chance
     for seed in range(1, 5):
@@ -237,14 +241,14 @@ def run(spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0) -> 
     """Fit the model under each condition that the data allow; return one row per condition.
 
     spec: the model; data, test: training and test hours. budget_s: time limit of each training [s].
-    Columns: name:
-    model and options; regime: name of the condition; n_train, n_test: numbers of hours;
-    log10_mse_weighted, median, worst: mean, median and largest error of the test hours;
+    Columns: name: label of `spec`; regime: name of the condition; n_train, n_test: numbers of
+    hours; log10_mse_weighted, median, worst: mean, median and largest error of the test hours;
     expected_mse: mean error that the model expected, None if it expects none; untrusted_share: of
-    the test hours; warned: whether the fit warned; reported: whether the tool reported the error in
-    any way; gross, gross_unflagged: number of hours with gross errors, and of those without any
-    warning, distrust or large expected error; times_normal: the mean error over that of the normal
-    case.
+    the test hours, 0 to 1; warned: whether the fit warned; reported: whether the tool reported the
+    error in any way (docstring of this module); gross, gross_unflagged: number of hours with gross
+    errors (log10 MSE over 0.04), and of those without any warning, distrust or large expected
+    error; fit_cpu_s: processor time of the fit [s]; times_normal: the mean error over that of the
+    normal case. Errors are log10 MSE by solid angle. Maps are thinned to about 20 rows.
     """
     rows: list[JsonTable] = []
     normal: dict[str, float] = {}

@@ -94,7 +94,7 @@ def state_of(model: Any, with_patch: bool) -> ModelState:
     Its fields are one table of config.json, whose key is the model's name, and arrays of
     weights.npz. with_patch: whether the model uses sun patches.
     """
-    arrays: dict[str, Array] = {}
+    arrays: dict[str, Array] = {}  # `serialised` adds the model's arrays
     table = serialised(model, "array", arrays) | {"format": FORMAT}
     return ModelState({"with_patch": with_patch, model.name: table}, arrays)
 
@@ -176,7 +176,8 @@ def save(
     """Write weights.npz, sky_view.exr, then config.json, each atomically, into a folder.
 
     data: the training data; config.json describes them, and weights.npz has their seen pixels.
-    mirrors: plane mirrors of the sun. more: further keys of config.json and their values.
+    Without a sky view in `data`, an existing sky_view.exr is deleted. mirrors: plane mirrors of the
+    sun. more: further keys of config.json and their values.
     """
     state = fitted.state()
     arrays = {"seen": data.seen, **state.arrays}

@@ -28,7 +28,8 @@ class Domain:
 
         It has no standard deviation and NaN as expected error. Hours with light similar to captured
         light are trusted: the sun must be within 12 degrees of that of a sunny capture, or the DNI
-        below 60 W/m2, with which the sun lights a room less than the sky does.
+        below 60 W/m2, with which the sun lights a room less than the sky does. Both limits are
+        chosen.
         """
         cosine = (light.sun_direction @ self.sun_directions.T).max(axis=1, initial=-1.0)
         is_similar = (cosine >= np.cos(np.radians(12.0))) | (light.dni_wm2 < 60.0)
@@ -141,7 +142,7 @@ def similarity_features(light: Light) -> Floats:
     """Return five features of each of n hours, [n, 5]; similar hours have similar values.
 
     With the beam share b = DNI / (DNI + DHI) these are the unit vector to the sun (three values)
-    times (0.3 + b), b, and 0.3 log10 of (DHI plus 10 W/m2).
+    times (0.3 + b), b, and 0.3 log10 of (DHI plus 10 W/m2). Own choice.
     """
     share = light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
     return np.column_stack(
@@ -152,7 +153,7 @@ def similarity_features(light: Light) -> Floats:
 def level_wm2(light: Light) -> Floats:
     """Return the global horizontal irradiance of each hour plus 1 W/m2, [n].
 
-    Maps are scaled in proportion to it.
+    Maps are scaled in proportion to it; 1 W/m2 keeps the ratio of two dark hours finite.
     """
     return horizontal_beam(light.dni_wm2, light.sun_altitude_deg) + light.dhi_wm2 + 1.0
 

@@ -62,8 +62,9 @@ class CameraTurns:
 
     angles_deg: turn in heading (clockwise positive), tilt (up) and roll (clockwise) [n, 3], zero if
     the camera was not turned or cannot be aligned; u_deg: standard uncertainties of the turns [n,
-    3]; aligned: True if the capture can be used: its turn is under 10 pixels, and its picture,
-    turned back, has its edges where the room's edges are [n].
+    3]; aligned: True if the capture can be used: its turn is under 10 pixels (of maps with over 459
+    rows, of their averages over blocks), and its picture, turned back, has its edges where the
+    room's edges are [n].
     """
 
     angles_deg: Array
@@ -87,8 +88,8 @@ def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[fl
     """Return the directions at which a turned camera's panorama shows `rays`, [..., 3].
 
     rays: true directions, unit vectors with x east, y north, z up, as the results [..., 3];
-    heading_deg: azimuth of the panorama's centre column; angles_deg: the camera's turn in heading
-    (clockwise positive), tilt (up) and roll (clockwise) [3].
+    heading_deg: azimuth of the panorama's centre column, clockwise from north; angles_deg: the
+    camera's turn in heading (clockwise positive), tilt (up) and roll (clockwise) [3].
     """
     heading = np.radians(heading_deg)
     right = (np.cos(heading), -np.sin(heading), 0.0)
@@ -124,9 +125,9 @@ def _interpolated(maps: Array, places: Array) -> Array:
 def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return a turned camera's map [H, W] as the camera would show it without the turn, [H, W].
 
-    heading_deg: azimuth of the map's centre column; angles_deg: the camera's turn in heading
-    (clockwise positive), tilt (up) and roll (clockwise) [3]. Interpolation is linear between
-    pixels. Pass ln L, so that a bright window does not spread over its frame.
+    maps: one map; heading_deg: azimuth of its centre column, clockwise from north; angles_deg: the
+    camera's turn in heading (clockwise positive), tilt (up) and roll (clockwise) [3]. Interpolation
+    is linear between pixels. Pass ln L, so that a bright window does not spread over its frame.
     """
     return _interpolated(maps, _places(maps.shape, heading_deg, angles_deg))
 
@@ -134,10 +135,10 @@ def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[fl
 def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return the standard uncertainty that interpolation in `turned_back` causes, [H, W].
 
-    maps: one map [H, W], ln L or another quantity, whose unit the result has; heading_deg: azimuth
-    of its centre column; angles_deg [3]: the camera's turn in heading, tilt and roll. A turn by a
-    fraction f of a pixel mixes neighbours in the picture, and turning it back mixes them again.
-    What remains is f (1 - f) times the range of values among the 3 x 3 neighbours.
+    maps: one map [H, W], ln L or another quantity, whose unit the result has; heading_deg,
+    angles_deg: as for `turned_back`. A turn by a fraction f of a pixel mixes neighbours in the
+    picture, and turning it back mixes them again. What remains is taken as f (1 - f) times the
+    range of values among the 3 x 3 neighbours, an own estimate.
     """
     places = _places(maps.shape, heading_deg, angles_deg)
     fraction = places - np.floor(places)
@@ -253,10 +254,10 @@ def camera_turns(luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float) ->
     """Return how the camera of each capture was turned relative to most captures.
 
     luminance_cdm2: panoramas in the order of time, without NaN [n, H, W]; seen_mask: True for
-    pixels with a value [H, W]; heading_deg: azimuth of the centre column. Consecutive captures of
-    one pose get their median turn; a turn too small to be certain is zero. With fewer than 5
-    captures or 40 rows of pixels, or if nothing was seen, all turns are zero and all captures count
-    as aligned. Computing time is proportional to the number of captures.
+    pixels with a value [H, W]; heading_deg: azimuth of the centre column, clockwise from north.
+    Consecutive captures of one pose get their median turn; a turn too small to be certain is zero.
+    With fewer than 5 captures or 40 rows of pixels, or if nothing was seen, all turns are zero and
+    all captures count as aligned. Computing time is proportional to the number of captures.
     """
     count, height = luminance_cdm2.shape[:2]
     angles, u_deg, correlation = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
@@ -353,8 +354,9 @@ def align(
     """Turn maps, masks and weights of captures back to the pose that most captures share, in place.
 
     maps: [n, H, W] cd/m2; has_value: [n, H, W], True for measured pixels; counts: weights of the
-    pixels in training [n, H, W]; heading_deg: azimuth of the centre column. A capture that was not
-    turned, or that cannot be aligned, does not change.
+    pixels in training, 0 to 1 [n, H, W]; heading_deg: azimuth of the centre column, clockwise from
+    north; turns: by `camera_turns`. A capture that was not turned, or that cannot be aligned, does
+    not change.
 
     Interpolation blurs sharp edges, such as a window's. Therefore each pixel's weight is multiplied
     by the weight of the uncertainty that this causes; a factor below a half becomes 0.

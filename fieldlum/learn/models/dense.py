@@ -67,8 +67,9 @@ class Shape:
 def encode(luminance_cdm2: Array) -> Floats32:
     """Return luminance as the network's input: (log10 L / 9.2)^(1/1.5), in the same shape.
 
-    luminance_cdm2: [...]; values below 1 cd/m2 count as 1, and values above 1.6e9 cd/m2 give
-    results above 1.
+    The formula is the preprocessing of Liu, Colburn and Inanici (2020); 9.2 is log10 of the
+    luminance of the sun's disc, 1.6e9 cd/m2. luminance_cdm2: [...]; values below 1 cd/m2 count as
+    1, and values above 1.6e9 cd/m2 give results above 1.
     """
     return ((np.log10(np.maximum(luminance_cdm2, 1.0)) / LOG_TOP) ** POWER).astype(np.float32)
 
@@ -76,7 +77,8 @@ def encode(luminance_cdm2: Array) -> Floats32:
 def decode(encoded: Array) -> Floats32:
     """Return the luminance [cd/m2] of values that `encode` returned, in the same shape [...].
 
-    Values are limited to 0 to 1, so that every prediction is between 1 and 1.6e9 cd/m2.
+    It is the inverse of `encode`, 10^(9.2 x^1.5). Values x are limited to 0 to 1, so that every
+    prediction is between 1 and 1.6e9 cd/m2.
     """
     return (10.0 ** (LOG_TOP * np.clip(encoded, 0.0, 1.0) ** (1.0 / POWER))).astype(np.float32)
 
@@ -142,8 +144,8 @@ class Inputs:
     def at(self, light: Light) -> Inputs:
         """Return the inputs of the same pixels in the hours of `light`.
 
-        Altitude is divided by 90 degrees, DNI by 1100 and DHI by 700 W/m2; azimuth is 0 at north,
-        0.5 at south and 0.75 at west.
+        Altitude is divided by 90 degrees, DNI by 1100 and DHI by 700 W/m2, as in the paper; azimuth
+        is 0 at north, 0.5 at south and 0.75 at west.
         """
         azimuth_deg = signed_angle_deg(light.sun_azimuth_deg - 180.0) + 180.0
         columns = (light.sun_altitude_deg, azimuth_deg, light.dni_wm2, light.dhi_wm2)
@@ -196,10 +198,11 @@ def pick_device() -> torch.device:
 class DenseFitted:
     """A trained network with everything that its prediction needs.
 
-    net, shape: the network and its form; average_log10: mean of log10 L over the training images
-    [H, W]; heading_deg: azimuth of the maps' centre column; patch: how sun patches are used;
-    domain: range of light in the captures; training: what config.json records of the training;
-    held_out_mse: None, because errors on days without captures are not computed for a network.
+    net, shape: the network and its form; average_log10: mean of log10 L [cd/m2] over the training
+    images [H, W]; heading_deg: azimuth of the maps' centre column, clockwise from north; patch: how
+    sun patches are used; domain: range of light in the captures; training: what config.json records
+    of the training; held_out_mse: None, because errors on days without captures are not computed
+    for a network.
     """
 
     net: Net
@@ -218,7 +221,7 @@ class DenseFitted:
         return sum(p.numel() for p in self.net.parameters())
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
-        """Predict maps of the n hours of `light`, [n, H, W].
+        """Predict maps of the n hours of `light`, [n, H, W] cd/m2.
 
         patch_cdm2: luminance by direct sun in these hours [n, H, W]. Raises ValueError without it
         for a network trained with sun patches; other networks do not use it. The network has no
@@ -381,7 +384,10 @@ def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 class Trainer:
-    """A network in training, with its training pixels and Adam, as the paper trains it."""
+    """A network in training, with its training pixels and Adam, as the paper trains it.
+
+    largest: limit of the pixels of a batch (`MAX_BATCH`).
+    """
 
     def __init__(self, net: Net, pixels: PixelSampler) -> None:
         self.net, self.pixels = net, pixels
@@ -404,9 +410,9 @@ class Trainer:
 
         numbers: indices of the batch's pairs; rate: learning rate; loss: `loss_value`, NaN if it is
         not finite: then the weights do not change. With E and T the weighted sums of squared errors
-        and targets of n pixels, the loss is E / n + 10 sqrt(E / T), so that its gradient is that of
-        E times 1 / n + 5 / sqrt(E T). Each process differentiates its own part of E, and the parts
-        are summed.
+        and targets of the batch's b pixels, the loss is E / b + 10 sqrt(E / T), so that its
+        gradient is that of E times 1 / b + 5 / sqrt(E T). Each process differentiates its own part
+        of E, and the parts are summed.
         """
         self.optimiser.param_groups[0]["lr"] = rate
         self.optimiser.zero_grad()
@@ -424,13 +430,16 @@ class Trainer:
         return loss_value(parts)
 
     def validate(self, pixels: PixelSampler, numbers: Tensor) -> float:
-        """Return the loss of the pairs `numbers` of held-out `pixels`."""
+        """Return the loss (`loss_value`) of some pairs of held-out `pixels`, over all processes.
+
+        numbers: indices of the pairs.
+        """
         with torch.no_grad():
             parts = [self.sums(pixels, batch).double() for batch in numbers.split(self.largest)]
         return loss_value(sum_over_ranks(torch.stack(parts).sum(dim=0)))
 
     def pixels_per_s(self) -> float:
-        """Return the speed of training, measured on three batches: pixels per second.
+        """Return the speed of training by all processes, measured on three batches: pixels per s.
 
         A first batch is not measured, because it also compiles.
         """
@@ -501,8 +510,9 @@ class Run:
 def affordable_run(trainer: Trainer, budget_s: float | None) -> Run:
     """Return a training of as many updates as the time allows, at most 90 uses of each pixel.
 
-    budget_s: available time, None for no limit. Raises NotEnoughDataError if it does not allow one
-    use of each pixel: errors would depend on the processor's speed.
+    budget_s: available time [s], None for no limit. The trainer's speed is measured for it. Raises
+    NotEnoughDataError if it does not allow one use of each pixel: errors would depend on the
+    processor's speed.
     """
     count = len(trainer.pixels)
     pixels = float(PASSES * count)  # in all updates together

@@ -112,7 +112,7 @@ class HeldOutChoice:
 
 
 def choose(candidates: Sequence[HeldOutErrors]) -> HeldOutChoice:
-    """Choose the candidate with the smallest error; all candidates have the same hours.
+    """Choose the candidate, of one or more, with the smallest error; all have the same hours.
 
     Candidates whose error of DGP is within one standard error of the smallest are compared by Ev,
     those within a standard error there by log10 luminance. If several remain, the one with the
@@ -173,7 +173,12 @@ def _sine_of_altitude(light: Light) -> Array:
 
 
 def offset_variance(light: Light) -> Array:
-    """Return the relative variance of the irradiance that a reading's zero offset causes, [n]."""
+    """Return the relative variance of the irradiance that a reading's zero offset causes, [n].
+
+    The offset is 2 W/m2 (ISO 9060, zero offset B of class A). Divided by the sine of the sun's
+    altitude, at least that of 1 degree, it is an error of DNI; the result is the square of that
+    error over DNI + DHI.
+    """
     total_wm2 = np.maximum(light.dhi_wm2 + light.dni_wm2, 1e-9)
     return (ZERO_OFFSET_WM2 / (_sine_of_altitude(light) * total_wm2)) ** 2
 
@@ -189,7 +194,11 @@ def beam_variance(light: Light) -> Array:
 
 
 def weight_of_variance(variance: Floats) -> Floats:
-    """Return weights 1 to 0 for relative variances [...], 1 / (1 + variance / UNSURE)."""
+    """Return weights 1 to 0 for relative variances [...], 1 / (1 + variance / UNSURE).
+
+    It is the inverse of (variance + UNSURE), divided by its value for an exact value. UNSURE is
+    0.01 (chosen), so that such a variance has half weight.
+    """
     return 1.0 / (1.0 + variance / UNSURE)
 
 

@@ -58,8 +58,9 @@ _SAME_MIRROR, _OTHER_MIRROR = 2.0, 3.0
 class SunImage:
     """A bright spot of a map that may be an image of the sun.
 
-    row: index of the capture; towards: unit vector from the camera to the spot, x east, y north, z
-    up [3]; spot: its place, pixels and illuminance, measured as those of a sun disc.
+    row: index of the capture in the training data; towards: unit vector from the camera to the
+    spot, x east, y north, z up [3]; spot: its place, pixels and illuminance, measured as those of a
+    sun disc.
     """
 
     row: int
@@ -71,8 +72,9 @@ class SunImage:
 class MirrorPlane:
     """A plane mirror that captures show.
 
-    normal: unit vector of the plane on the sun's side [3]; u_deg: its standard uncertainty per
-    axis; images: one image of each capture that shows the sun in the mirror.
+    normal: unit vector of the plane on the sun's side, x east, y north, z up [3]; u_deg: its
+    standard uncertainty per axis; images: one image of each capture that shows the sun in the
+    mirror.
     """
 
     normal: Floats
@@ -81,13 +83,19 @@ class MirrorPlane:
 
 
 def mirrored(suns: ArrayLike, normal: ArrayLike) -> Floats:
-    """Return the directions [n, 3] of the images of suns [n, 3] in a plane with normal [3]."""
+    """Return the directions [n, 3] of the images of suns [n, 3] in a plane with normal [3].
+
+    All are unit vectors in the same axes; the sign of the normal does not count.
+    """
     suns, normal = np.asarray(suns, float), np.asarray(normal, float)
     return suns - 2.0 * (suns @ normal)[:, None] * normal
 
 
 def ring_around(towards: Floats, angle_rad: float) -> Floats:
-    """Return eight directions at an angle around each direction, [8, n, 3]; towards: [n, 3]."""
+    """Return eight directions at an angle around each of n directions, [8, n, 3].
+
+    towards: unit vectors [n, 3], as the results.
+    """
     not_parallel = np.where(np.abs(towards[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     right = np.cross(towards, not_parallel)
     right /= np.linalg.norm(right, axis=1, keepdims=True)
@@ -129,9 +137,10 @@ def bright_spots(
     """Return the compact spots of a map that are brighter than any surface in the sun.
 
     Each has the brightness and the energy that `find_disc` requires. luminance_cdm2: map [H, W];
-    heading_deg: azimuth of its centre column; sun: unit vector [3] to the sun, whose surroundings
-    are not searched; dni_wm2: direct normal irradiance of the capture; row: index of the capture,
-    stored in the spots. The list is empty without spots, and has six of them at most.
+    heading_deg: azimuth of its centre column, clockwise from north; sun: unit vector [3] to the
+    sun, x east, y north, z up, whose surroundings are not searched; dni_wm2: direct normal
+    irradiance of the capture; row: index of the capture, stored in the spots. The list is empty
+    without spots, and has six of them at most.
     """
     light = np.nan_to_num(np.asarray(luminance_cdm2, np.float32), posinf=0.0, neginf=0.0)
     height, width = light.shape
@@ -320,7 +329,7 @@ class Mirror:
     def images(self, light: Light, heading_deg: float) -> MirroredSun:
         """Return the image of the sun in each of the n hours of `light`.
 
-        heading_deg: azimuth of the centre column of the map `chance`.
+        heading_deg: azimuth of the centre column of the map `chance`, clockwise from north.
         """
         suns = light.apparent_sun_direction
         towards, cosine = mirrored(suns, self.normal), suns @ self.normal
@@ -359,8 +368,8 @@ class Mirror:
 def flat_pixels(towards: Floats, shape: tuple[int, ...], heading_deg: float) -> Indices:
     """Return the index in the flattened map of the pixel in each direction, [...].
 
-    towards: unit vectors [..., 3]; shape: (H, W) of the map; heading_deg: azimuth of its centre
-    column.
+    towards: unit vectors [..., 3], x east, y north, z up; shape: (H, W) of the map; heading_deg:
+    azimuth of its centre column, clockwise from north.
     """
     row, column = equirect_pixel(*altitude_azimuth_deg(towards), shape[0], shape[1], heading_deg)
     pixel = (row.astype(int), column.astype(int))
@@ -398,8 +407,8 @@ def read_mirrors(folder: Path, config: ModelConfig) -> tuple[Mirror, ...]:
 def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
     """Return the captures without images of the sun in plane mirrors, and these mirrors.
 
-    The pixels of an image get the luminance of their surroundings. Without any mirror, return
-    `data` itself and an empty tuple.
+    The pixels of an image get the luminance of their surroundings; `data` does not change. Without
+    any mirror, return `data` itself and an empty tuple.
     """
     light, suns = data.light, data.light.apparent_sun_direction
     spots = [

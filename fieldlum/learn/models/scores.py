@@ -89,7 +89,7 @@ class Scores:
 
 
 def join(parts: Sequence[Scores]) -> Scores:
-    """Return the scores of several tests as those of one test, one part after the other."""
+    """Return the scores of one or more tests as those of one test, one part after the other."""
     arrays = [f.name for f in fields(Scores) if f.name not in ("slots", "maps")]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
     slots = tuple(slot for part in parts for slot in part.slots)
@@ -127,7 +127,8 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     """Return what `evaluate` needs to know about the test captures `data`, for any model.
 
     glare: also compute DGP and RAMMG of at most 150 true maps, spread evenly over `data`, and
-    the sun discs by the sky view; if False, glare is scored for no map.
+    the sun discs by the sky view; if False, glare is scored for no map. Raises InputError for an
+    impossible room.
     """
     n = len(data)
     with_glare = np.isin(np.arange(n), evenly_spread(n, 150)) & glare
@@ -325,8 +326,9 @@ def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
     """Return the light of 150 random daylight hours of a year, with weather of random captures.
 
     A capture's weather is the ratio of its direct normal and diffuse irradiance to those of a
-    cloudless sky, at most 1.2 and 4; the hour has these ratios times its own cloudless sky. The
-    year is that of the first capture; rng: source of the random draws.
+    cloudless sky (`sun.clearsky`), at most 1.2 and 4 (chosen); the hour has these ratios times its
+    own cloudless sky. Daylight: the sun above 2 degrees. The year is that of the first capture;
+    rng: source of the random draws.
     """
     site, first = data.setup.site, data.light.t_utc[0]
     begin = datetime(first.year, 1, 1, tzinfo=UTC)
@@ -347,8 +349,9 @@ def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
 def expect_year(fitted: Fitted, data: Dataset, rng: np.random.Generator) -> YearExpectation:
     """Return what a model of the captures `data` expects of the hours of `light_of_year`.
 
-    If `data` has sun patches, those of the hours are computed from the room of `data`. The expected
-    log10 MSE is NaN for a model that does not estimate its error.
+    If `data` has sun patches, those of the hours are computed from the room of `data`, which it
+    must have then. rng: source of the random draws. The expected log10 MSE is NaN for a model that
+    does not estimate its error. Raises InputError for an impossible room.
     """
     light = light_of_year(data, rng)
     n = len(light)

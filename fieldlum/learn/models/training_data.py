@@ -125,7 +125,8 @@ class Dataset:
     def patches(self, light: Light) -> Floats32:
         """Return the luminance of sun patches in the hours of `light`, [n, H, W] cd/m2.
 
-        They are computed from the room of `setup`. Raises InputError for an impossible room.
+        They are computed from the room of `setup`, which must have one. Raises InputError for an
+        impossible room.
         """
         room, suns, lx = self.setup.room, light.apparent_sun_direction, light.direct_lx
         assert room is not None
@@ -159,6 +160,7 @@ class Dataset:
 def sun_of_rows(path: Path, rows: Sequence[PairRow], site: Site) -> tuple[Floats, Floats]:
     """Return the sun's true altitude and azimuth [deg], [n] each: those of the csv, else by SPA.
 
+    Azimuths are clockwise from north.
     Raises InputError, naming the line, for rows that contradict each other or the sun: a repeated
     time or picture, a sun position in the csv more than 2.5 degrees from that computed for `site`,
     and irradiance that is too large or too small for any sky, such as values in kW/m2. path: of
@@ -282,9 +284,10 @@ def load_pairs(where: Path | Session, site: Path | None = None) -> Dataset:
     that cannot be aligned are not used. The sun's position is that of the csv; where its cells are
     empty, it is computed.
 
-    Raises InputError for a missing csv, site file or picture, an unreadable cell or picture,
-    pictures that differ in size or heading, or implausible rows; NotEnoughDataError for a session
-    without pairs.csv, or if no row or no pixel is usable.
+    Raises InputError for a folder that is no session, a missing csv, site file or picture, an
+    unreadable cell, picture or sky_view.exr, pictures that differ in size or heading, or
+    implausible rows; NotEnoughDataError for a session without pairs.csv, or if no row or no pixel
+    is usable.
     """
     path = where.pairs if isinstance(where, Session) else Path(where)
     if path.is_dir():
@@ -390,8 +393,9 @@ def _slots(rows: Sequence[PairRow]) -> tuple[str, ...]:
 def states_of(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
     """Return the room's state in each row, such as "lamp=on"; None if all rows have no state.
 
-    States are from the csv's column `state` and from the marks in the session's journal. path: of
-    the csv. Raises InputError for an unknown word.
+    Texts are those of `fieldlum.core.room_states`. States are from the csv's column `state` and
+    from the marks in the session's journal; a mark replaces a part of the cell with the same word.
+    path: of the csv. Raises InputError for an unknown word.
     """
     marked = marks(Session(path.parent))
     states = []
@@ -429,9 +433,11 @@ def take_disc_out(
 ) -> None:
     """Remove the sun's disc from map k and sun patch k of `data`, in place.
 
-    `disc_lx` and `disc_deg` of hour k are set too; if its sun patch shows a disc, from that, which
-    has no sky around it. at: altitude and azimuth of the sun [deg], where the patch shows it;
-    shown: altitude and azimuth at which the map, of a turned camera, shows it [deg].
+    `disc_lx` of hour k is set too: from its sun patch, which has no sky around the disc, or from
+    the map if `data` has no patches; 0 if that picture shows no disc. `disc_deg` is set if the map
+    or the patch shows a disc. at: altitude and azimuth (clockwise from north) of the sun [deg],
+    where the patch shows it; shown: altitude and azimuth at which the map, of a turned camera,
+    shows it [deg].
     """
     assert data.disc_deg is not None
     dni_wm2 = float(data.light.dni_wm2[k])
@@ -453,9 +459,10 @@ def read_pictures(
 
     The mask is False at missing values of the maps, which are still in them, as are the sun's
     discs; later steps change the arrays in place. path: of the pairs.csv, to whose folder the names
-    of pictures are relative. disc_lx is from the pictures' headers, 0 where they have none. Raises
-    InputError if sizes or headings differ from those of the first picture, or if only some rows
-    have a sun patch.
+    of pictures are relative. light: of the rows. disc_lx is from the sun that is stated with a
+    picture (its header, or the session's suns.csv), 0 without one. Raises InputError for an
+    unreadable picture, if sizes or headings differ from those of the first picture, or if only some
+    rows have a sun patch.
     """
     pictures = [path.parent / row.panorama for row in rows]
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}

@@ -102,8 +102,9 @@ def fit_timed(
     """Fit the model `name` of `MODELS` to `data`; return the model and the time of the fit.
 
     patch: with "none" sun patches are not an input. seed: of all random numbers. budget_s: time
-    limit [s], None for no limit; checkpoint: file that stores an interrupted fit, None for none.
-    Only slow models use these two.
+    limit [s], None for no limit; checkpoint: file that stores an interrupted fit and from which it
+    continues, None for none. Only slow models use these two. Raises what the model's fit raises,
+    such as NotEnoughDataError for too few captures or too little time.
     """
     wall, cpu = monotonic(), process_time()
     slow = {"budget_s": budget_s, "checkpoint": checkpoint} if MODELS[name].slow else {}
@@ -122,8 +123,10 @@ def evaluate_folds(
 ) -> Trial:
     """Test a model on held-out days: fit it without the captures of each fold, then predict these.
 
-    name: of the model; folds: masks [n] of held-out captures, by `day_folds`; patch, seed: as for
-    `fit_and_score`; budget_s: for all folds of a slow model together [s], None for no limit.
+    name: of the model; folds: masks [n] of held-out captures, by `day_folds`, at least one; patch,
+    seed: as for `fit_and_score`; budget_s: for all folds of a slow model together [s], None for no
+    limit. Raises the errors of `fit_timed`, and FloatingPointError for a predicted value that is
+    not finite.
     """
     parts: list[Scores] = []
     times: list[Spent] = []
@@ -157,8 +160,9 @@ class ModelSelection(NamedTuple):
 def choose_model(trials: Sequence[Trial]) -> ModelSelection:
     """Choose the model with the smallest held-out error, as `held_out_choice.choose` compares it.
 
-    All were tested in the same hours. A baseline repeats captured suns, and held-out days have
-    nearly the same suns as the other days: it loses to another model unless it is clearly better.
+    trials: one or more, all of the same hours. A baseline repeats captured suns, and held-out days
+    have nearly the same suns as the other days: it loses to another model unless it is better by
+    over a standard error.
     """
     errors = [trial.scores.errors for trial in trials]
     best = choose(errors).best
@@ -247,7 +251,8 @@ def fit_and_score(
     input. budget_s: time in which the network is trained [s], half of it without held-out days.
     seed: of all random numbers. checkpoint: file that stores the network's last training, and
     continues it if it exists; None for none. Raises NotEnoughDataError for too few hours to hold
-    any out, or to fit `model`, and if the network has no time.
+    any out, or to fit `model`, and if the network has no time; InputError for an impossible room or
+    a checkpoint that cannot be used.
     """
     patch = patch_mode(data, patch)
     captures = len(data)
@@ -330,7 +335,7 @@ def run(
     If captures and options have not changed since the same version trained the model, nothing is
     trained (unless `force`) and the answer's `kept` is True. An interrupted dense training
     continues from its checkpoint in `out`. budget_min: minutes for the network. Other arguments and
-    errors: `fit_and_score`.
+    errors: `fit_and_score`; InputError also for an `out` that cannot be written.
     """
     mode = patch_mode(data, patch)
     inputs = {
@@ -451,6 +456,8 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
     if own is None or MODELS[model].baseline:
         return notes
     others = [trial for trial in trials if is_baseline(trial)]
+    # In each choice, 0 is the model and 1 the baseline; `by` is None if neither is better by over a
+    # standard error.
     choices = [choose([own.scores.errors, t.scores.errors]) for t in others]
     better = [t.name for t, c in zip(others, choices, strict=True) if c.best == 1 and c.by]
     if better:
@@ -503,6 +510,7 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
 def is_untrusted(fitted: Fitted, data: Dataset) -> bool:
     """Return whether held-out errors of the captures `data` are too large to trust any hour.
 
+    They are with a trimmed mean log10 MSE over 0.02 (`POOR_MSE`), or a median over a quarter of it.
     False for a model without held-out errors.
     """
     errors, weight, _ = _judged_errors(fitted, data)

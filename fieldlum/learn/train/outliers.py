@@ -151,8 +151,9 @@ class Evidence:
     def change(self, captures: Indices, shape: Floats) -> tuple[float, float]:
         """Return the gain in log likelihood of a change of some captures, and its likeliest size.
 
-        captures: their indices [k]; shape: light that the change adds to each capture, up to a
-        factor [n]. This factor, the size, is free in each pixel; the returned one is the median.
+        captures: their indices in the process [k]; those not in `rows` do not count. shape: light
+        that the change adds to each of the n captures of the process, up to a factor [n]. This
+        factor, the size, is free in each pixel; the returned one is the median.
         """
         column = np.where(np.isin(self.rows, captures), shape[self.rows], 0.0)
         along = [column @ weights for weights in self.weights]
@@ -166,9 +167,9 @@ class Evidence:
     def level_change(self, captures: Indices) -> tuple[float, float]:
         """Return the gain in log likelihood of one factor on the light of captures, and the factor.
 
-        captures: indices [k]. The gain is -inf for a factor that weather can explain: up to 1.2
-        brighter or darker, or 1.5 for a single capture. Where Perez's classes of sky meet, 2 W/m2
-        of DNI change the light in a room by a factor of 1.3.
+        captures: as for `change`. The gain is -inf for a factor that weather can explain: up to 1.2
+        brighter or darker, or 1.5 for a single capture (chosen). Where Perez's classes of sky meet,
+        2 W/m2 of DNI change the light in a room by a factor of 1.3.
         """
         gain, size = self.change(captures, self.level)
         factor = 1.0 / max(1.0 - size, 1e-3)
@@ -218,12 +219,15 @@ def find_lamp(process: Process, rows: Indices) -> Indices:
     evidence = Evidence(process, rows)
 
     def gain(lit: Indices) -> float:
-        """Return the gain in log likelihood, less its price, of a lamp in the captures `lit`."""
+        """Return the gain in log likelihood, less its `_price`, of a lamp in the captures `lit`.
+
+        It is 0 without captures, and -inf if the lamp would have to take light away.
+        """
         if not len(lit):
             return 0.0
         gained, light = evidence.change(lit, process.lamp)
         if light <= 0.0:
-            return -np.inf  # a lamp was on in the other captures instead
+            return -np.inf  # as if a lamp was on in the other captures instead
         return gained - _price(process, lit)
 
     hours = process.hours[rows]
@@ -252,9 +256,10 @@ def _group_of_other_level(evidence: Evidence) -> Indices:
     parts = [part for part in parts if len(part) >= 3]
 
     def gain(chosen: Indices, darker: bool) -> float:
-        """Return the gain in log likelihood, less its price, of a factor on captures.
+        """Return the gain in log likelihood, less its `_price`, of a factor on captures.
 
-        It is -inf for a factor on the wrong side of 1, and for too many captures.
+        chosen: indices of the captures; the gain is 0 without any, and -inf for over half of all.
+        darker: whether the factor must be below 1, or above; it is -inf otherwise.
         """
         if not len(chosen):
             return 0.0
@@ -297,8 +302,8 @@ def find_unexplained(process: Process) -> Indices:
 class RoomChanges:
     """The captures in which the room was not as usual, although they are not marked.
 
-    lamp: indices of captures in which a lamp was on; unexplained: indices of captures that
-    contradict the others for another reason [k]; factor: measured light of each of these over that
+    lamp: indices of captures in which a lamp was on; unexplained: indices of k captures that
+    contradict the others for another reason; factor: measured light of each of these k over that
     predicted from the other captures, median over the picture [k].
     """
 
@@ -310,7 +315,8 @@ class RoomChanges:
 def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     """Return the captures of a changed room; None if there are none, or under four days.
 
-    with_patch: use the sun patches of `data`.
+    with_patch: use the sun patches of `data`. At most 250 captures are compared; each of the others
+    counts as the compared one that is nearest to it in their order.
     """
     # The time grows with the third power of the number of captures.
     compared = evenly_spread(len(data), 250)

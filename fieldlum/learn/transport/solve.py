@@ -75,7 +75,7 @@ def basis_of(covariance: Array, assumed: Array | None = None) -> Basis:
     covariance: kernel between the captured hours [n, n]; assumed: kernel between these hours under
     Perez's skies and the captured hours [n, n], None if `covariance` is that. `values` are the
     eigenvectors times the roots of their eigenvalues, `projector` is the eigenvectors divided by
-    them. Eigenvalues below a millionth of the largest are omitted.
+    these roots. Eigenvalues below a millionth of the largest are omitted.
     """
     eigenvalues, vectors = np.linalg.eigh(covariance)
     used = np.argsort(eigenvalues)[::-1][:RANK]
@@ -327,10 +327,10 @@ def fit_pixels(
 def patch_scale(arrays: TrainingArrays) -> float:
     """Return the factor by which all sun patches must be multiplied to match the captures.
 
-    It is the median of (L - q E) / s over all hours and pixels with a clear patch: luminance L,
-    total light E, patch s, and q the median of L / E in the pixel's hours without a patch. Compared
-    are pixels with a patch in three hours or more, and in half of the hours at most. The factor is
-    1 without such pixels.
+    arrays: with sun patches. The factor is the median of (L - q E) / s over all hours and pixels
+    with a clear patch: luminance L, total light E, patch s, and q the median of L / E in the
+    pixel's hours without a patch. Compared are pixels with a patch in three hours or more, and in
+    half of the hours at most. The factor is 1 without such pixels.
     """
     assert arrays.patch is not None
     if not (arrays.patch > 0.0).any():

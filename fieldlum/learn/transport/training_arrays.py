@@ -55,7 +55,7 @@ class StateColumns:
     def features(self, light: Light) -> Features:
         """Return the features of the n hours of `light`, with columns for these states.
 
-        Columns of lamps [n, l] are 1 000 lx over the total light while the lamp is on, those of
+        Columns of l lamps [n, l] are 1 000 lx over the total light while the lamp is on, those of m
         other states [n, m] are 1 while the room is in the state, else 0.
         """
         features, states = light_features(light), light.states or ("",) * len(light)
@@ -102,11 +102,11 @@ def open_sky_from_captures(
     """Find the window pixels without any geometry: they follow the Perez sky behind them.
 
     luminance, patch: luminance of captures and of sun patches [n, P] cd/m2, patch is None if
-    unknown; rays: unit vectors of the pixels [P, 3]. A pixel above the horizon is a window if, over
-    the hours, the logarithm of luminance over sky scatters less than half as much as that of
-    luminance over total light, and luminance over sky is that of glass (0.05 to 1.2). Its `share`
-    is the 10th percentile of luminance over sky, so that the sky rarely exceeds the captured
-    luminance.
+    unknown; rays: unit vectors of the pixels, x east, y north, z up [P, 3]. Own method: a pixel
+    above the horizon is a window if, over the hours, the logarithm of luminance over sky scatters
+    less than half as much as that of luminance over total light, and luminance over sky is that of
+    glass (0.05 to 1.2). Its `share` is the 10th percentile of luminance over sky, so that the sky
+    rarely exceeds the captured luminance.
     """
     above = np.flatnonzero(rays[:, 2] > 0.0)
     captured = np.maximum(luminance[:, above], MIN_CDM2)

@@ -124,7 +124,8 @@ class Opening:
 def room_axes(wall_azimuth_deg: float) -> Floats:
     """Return a room's axes as rows in world coordinates, [3, 3]: room = axes @ world.
 
-    wall_azimuth_deg: azimuth that the room's south wall faces, clockwise from north.
+    World axes are x east, y north, z up. wall_azimuth_deg: azimuth that the room's south wall
+    faces, clockwise from north.
     """
     azimuth = np.radians(wall_azimuth_deg)
     x = (-np.cos(azimuth), np.sin(azimuth), 0.0)  # azimuth - 90 degrees
@@ -167,11 +168,11 @@ class BoxScene:
         return room_axes(self.wall_azimuth_deg)
 
     def to_room(self, world: ArrayLike) -> Floats:
-        """Return directions [..., 3] (x east, y north) in room axes."""
+        """Return directions [..., 3] (x east, y north, z up) in room axes."""
         return turned(self.turn, world)
 
     def of_kind(self, *kinds: str) -> list[int]:
-        """Return the indices of the boxes of some kinds, such as "wall" or "frame"."""
+        """Return the indices of the boxes of some kinds (`Box.kind`), such as "wall" or "frame"."""
         return [k for k, box in enumerate(self.boxes) if box.kind in kinds]
 
 
@@ -246,7 +247,8 @@ def _checks(room: Room) -> Iterator[tuple[bool, str, str, str]]:
 def wall_named(wall: str, wall_azimuth_deg: float) -> str:
     """Return the name of a wall by the compass and in the room, such as ``N wall ("south")``.
 
-    wall: its name in the room; wall_azimuth_deg: azimuth that the "south" wall faces.
+    wall: its name in the room, a key of `WALLS`; wall_azimuth_deg: azimuth that the "south" wall
+    faces, clockwise from north.
     """
     return f'{compass_name(wall_azimuth_deg + WALL_TURN_DEG[wall])} wall ("{wall}")'
 
@@ -355,9 +357,9 @@ def window_bars(
 ) -> tuple[list[Span], list[Span], float]:
     """Return a window's posts (spans along the wall), its rails (in height), and half their depth.
 
-    Posts are the frame's two and those between panes, rails the frame's two and the transom; none
-    without a frame. Each is as deep across the wall as it is wide, but at most 0.9 of the wall. All
-    in m.
+    opening: of this window. Posts are the frame's two and those between panes, rails the frame's
+    two and the transom; none without a frame. Each is as deep across the wall as it is wide, but at
+    most 0.9 of the wall. All in m.
     """
     wide = window.frame_m
     if wide <= 0:

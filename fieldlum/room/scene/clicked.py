@@ -38,8 +38,8 @@ class Click:
     """A click on a panorama, on a corner, a bar or a transom of a room.
 
     kind: floor, ceiling or window for one of its corners, bar or transom. window: number from 1, 0
-    for corners of the room. x_px, y_px: from the panorama's upper left corner. line: of the csv, or
-    the number of the click.
+    for corners of the room. x_px, y_px: to the right and down from the panorama's upper left
+    corner. line: of the csv, or the number of the click from 1.
     """
 
     kind: Kind
@@ -58,7 +58,10 @@ class ClickGrid:
     heading_deg: float
 
     def angles(self, x_px: float, y_px: float) -> tuple[float, float]:
-        """Return altitude and azimuth [deg] of a pixel position."""
+        """Return altitude and azimuth [deg] of a pixel position.
+
+        The azimuth is clockwise from north, in [0, 360).
+        """
         azimuth = self.heading_deg + (x_px / self.width_px - 0.5) * 360.0
         return 90.0 - y_px / self.height_px * 180.0, azimuth % 360.0
 
@@ -120,8 +123,10 @@ def _click(where: str, line: int, row: Any) -> Click:
 class ClickedRoom:
     """A room that was fitted to clicks.
 
-    room : lengths [m]. u : standard uncertainty of each length or angle by name [m, deg]. misfit_px
-    : rms over the clicks. notes : one sentence for each click more than 3 px from the fitted room.
+    room : lengths [m]. u : standard uncertainty of each length or angle by name [m, deg]; names are
+    fields of `Room`, such as width_m, and window.K.FIELD for fields of window K (from 0), such as
+    window.0.left_m. misfit_px : rms over the clicks on corners. notes : one sentence for each such
+    click more than 3 px from the fitted room.
     """
 
     room: Room
@@ -137,8 +142,9 @@ def room_from_clicks(
 
     camera_height_m : of the lens above the floor, 0.05 to 50 m. where : the source that errors
     name. A room needs three floor corners around the camera, one ceiling corner, and two opposite
-    corners of each window. Raises InputError for fewer, for clicks that cannot be such corners, and
-    for another camera height.
+    corners of each window. The wall of the window with the lowest number becomes the "south" wall.
+    Raises InputError for fewer corners, for clicks that cannot be such corners, and for another
+    camera height.
     """
     _check(clicks, grid, where)
     if not 0.05 <= camera_height_m <= 50.0:

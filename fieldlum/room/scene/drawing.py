@@ -25,14 +25,15 @@ _EDGE_POINTS = 24  # points of a drawn edge: smooth at the width of a page; not 
 
 
 def compass_text(azimuth_deg: float) -> str:
-    """Return a compass direction with its angle, such as "SSW 203°"."""
+    """Return an azimuth, clockwise from north, as a compass direction and angle: "SSW 203°"."""
     return f"{compass_name(azimuth_deg)} {round(azimuth_deg) % 360}°"
 
 
 def write_room(setup: SiteFile, path: Path) -> bool:
-    """Write the plan of a site's box room as SVG; return False, and write nothing, without one.
+    """Write the plan of a site's box room as SVG; return whether the site has such a room.
 
-    Raises InputError for an impossible room.
+    Nothing is written without one. An existing file is replaced. Raises InputError for an
+    impossible room.
     """
     if drawing := room_svg(setup):
         write_file(path, drawing)
@@ -107,10 +108,11 @@ def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
 
 
 def outline_pixels(room: Room, grid: ClickGrid) -> dict[str, list[list[float]]]:
-    """Return the edges of the box and of its windows as lines on a panorama; keys: box, window.
+    """Return the edges of a box room and of its windows as lines on a panorama; keys: box, window.
 
     Each line is a list of pixel positions x, y, x, y ... [px]. It is split where it leaves the
-    picture at one side and continues at the other. Raises InputError for an impossible room.
+    picture at one side and continues at the other. grid: of the panorama, of which the camera
+    counts as level. Raises InputError for a room that is not a box or is impossible.
     """
     scene, lines = build(room), {"box": [], "window": []}
     size = (room.width_m, room.depth_m, room.height_m)

@@ -55,9 +55,9 @@ def _rectangle(name: str, material: str, axis: int, at_m: float, low: Floats, hi
 
 
 def rad_text(scene: BoxScene) -> str:
-    """Return the room as Radiance text in room axes.
+    """Return the room as Radiance text in room axes, without sky and sun.
 
-    Box k of the scene has the material ``m<k>``, pane k ``g<k>``.
+    Box k of the scene (from 0) has the material ``m<k>``, the pane of opening k ``g<k>``.
     """
     parts = ["# a fieldlum box room; x right, y away from the south wall, z up\n"]
     for k, (low, high) in enumerate(zip(scene.low, scene.high, strict=True)):
@@ -80,8 +80,8 @@ SKY_TEXT = "void glow skyglow\n0\n0\n4 1 1 1 0\nskyglow source sky\n0\n0\n4 0 0 
 def sun_text(direction: Floats, normal_illuminance_lx: float = RADIANCE_LM_PER_W) -> str:
     """Return the sun as Radiance text.
 
-    direction: unit vector to the sun [3]; normal_illuminance_lx: on a plane normal to it; 179 lx,
-    the default, are 1 W/m2.
+    direction: unit vector to the sun, in the axes of the scene [3]; normal_illuminance_lx: on a
+    plane normal to it; 179 lx, the default, are 1 W/m2. The disc has the radius SUN_RADIUS_DEG.
     """
     radiance = normal_illuminance_lx / RADIANCE_LM_PER_W / SUN_SR
     x, y, z = direction
@@ -91,7 +91,11 @@ def sun_text(direction: Floats, normal_illuminance_lx: float = RADIANCE_LM_PER_W
 
 @contextmanager
 def octree(*texts: str, base: Path | None = None) -> Iterator[Path]:
-    """Yield a temporary octree of Radiance text, on top of an octree `base` if there is one."""
+    """Yield the path of a temporary octree of Radiance texts; it is deleted when the block ends.
+
+    base: an octree on top of which the texts are; None for none. Raises RuntimeError for text that
+    Radiance does not accept.
+    """
     import pyradiance
 
     with tempfile.TemporaryDirectory(prefix="fieldlum-") as folder:
@@ -106,8 +110,9 @@ def trace(
 ) -> Floats:
     """Return the radiance along n rays by rtrace, with direct light only, [n] W/sr/m2.
 
-    origins : [n, 3] or [3]; directions : [n, 3]; extra : more options of rtrace. Colours are
-    weighted by Radiance's own luminance weights.
+    origins : [n, 3] or [3]; directions : [n, 3]; both in the axes of the octree; extra : more
+    options of rtrace, of which an ``-ab`` of 1 or more adds bounces. Colours are weighted by
+    Radiance's own luminance weights.
     """
     import pyradiance
 
@@ -186,9 +191,10 @@ def traced(
 def traced_sky_share(room: Room, rays: Floats) -> Floats:
     """Return the share of the open sky's light that rays from the viewpoint receive, [m].
 
-    rays [m, 3]: directions in world axes. The share is 0 behind an opaque surface and below the
-    horizon, else the transmittance of the glass. Raises InputError for a room file that is missing,
-    invalid or could run a command.
+    room: of kind "radiance"; rays [m, 3]: directions in world axes, x east, y north, z up. The
+    share is 0 behind an opaque surface and below the horizon, else the transmittance of the glass.
+    Raises InputError for a room file that is missing, invalid or could run a command, and for a
+    viewpoint_m without three numbers.
     """
     with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
         return np.asarray(trace(lit, _viewpoint(room), rays), float)

@@ -263,7 +263,8 @@ def joined(s: SurfaceSamples) -> tuple[SurfaceSamples, NDArray[np.int64]]:
     """Return k samples, one for each face in each pixel, and a number for the face of each, [k].
 
     s: m samples. Of those on one face in a pixel the middle one remains, with the sum of their
-    weights. The numbers of faces that face the same way are near each other.
+    weights. Samples seen in a mirror and directly are on different faces. The numbers of faces that
+    face the same way are near each other.
     """
     side = s.axis.astype(np.int64) * 2 + (s.sign > 0)
     face = (side * 10_000 + s.box) * 2 + s.mirrored
@@ -362,7 +363,8 @@ class LitRoom:
     def render(self, light: Light, *, coloured: bool = False) -> Rendering:
         """Render all moments of `light` at once; memory grows with their number.
 
-        coloured : also the colours, which do not change the luminance.
+        coloured : also the colours, which do not change the luminance. The first call traces the
+        points of the direct sun, which are kept.
         """
         n, height = len(light), self.view.height
         toward, direct_lx = self.view.scene.to_room(light.apparent_sun_direction), light.direct_lx
@@ -462,9 +464,9 @@ class LitRoom:
     ) -> Floats32:
         """Return the luminance of sky and plain, then of pieces after all bounces, [columns, n].
 
-        outdoors: luminance of sky and plain [FIRST_PIECE, n] cd/m2; first_lx: illuminance of the
-        pieces by direct sun [p, n]; tint: factor on their reflectances [p, n]; bounces: their
-        number, 0 for as many as matter.
+        It is for n moments, in cd/m2. outdoors: luminance of sky and plain [FIRST_PIECE, n] cd/m2;
+        first_lx: illuminance of the pieces by direct sun [p, n]; tint: factor on their reflectances
+        [p, n]; bounces: their number, 0 for as many as matter.
         """
         cdm2_per_lx = (self.pieces.reflectance[:, None] * tint / np.pi).astype(np.float32)
         outdoor_lx = self.outdoor_coefficients @ outdoors + first_lx
@@ -541,9 +543,10 @@ def lit_room(
 ) -> LitRoom:
     """Trace a box room's coefficients, from which `LitRoom.render` computes its light in any hour.
 
-    height : rows of the panorama; quality : a key of `QUALITIES`; workers : threads, by default one
-    for each core, at most 8. The same room always gives the same result. Raises InputError for a
-    site without a box room and for an impossible room.
+    height : rows of the panorama, whose centre column is at the heading of the site's camera;
+    quality : a key of `QUALITIES`; workers : threads, by default one for each core, at most 8. The
+    same room always gives the same result. Raises InputError for a site without a box room and for
+    an impossible room.
     """
     from scipy.sparse import csr_matrix
 

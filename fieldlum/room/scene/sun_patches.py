@@ -31,11 +31,11 @@ def sun_patches(
     """Return the luminance of surfaces due to direct sun only (Radiance's -ab 0), [n, H, W] cd/m2.
 
     sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up); normal_illuminance_lx
-    : [n] of the sun outside, on a plane normal to it. height : rows H; W = 2H. heading_deg :
-    azimuth of the centre column. A box room is traced exactly: hard shadows, sub x sub rays for
-    each pixel (by default as many as `patch_rays` gives), one mirror image in the panes. A room of
-    kind "radiance" is traced by rtrace; `sub` does not count. Raises InputError for an impossible
-    room.
+    : [n] of the sun outside, on a plane normal to it, or one value for all. height : rows H; W =
+    2H. heading_deg : azimuth of the centre column, clockwise from north. A box room is traced
+    exactly: hard shadows, sub x sub rays for each pixel (by default as many as `patch_rays` gives),
+    one mirror image in the panes. A room of kind "radiance" is traced by rtrace; `sub` does not
+    count. Raises InputError for an impossible room, and as `traced` for the file of such a room.
     """
     suns = np.atleast_2d(np.asarray(sun_direction, float))
     normal = np.broadcast_to(np.asarray(normal_illuminance_lx, float), len(suns))

@@ -138,8 +138,8 @@ def _panes(
 def disc_glass(scene: BoxScene, toward: Floats) -> Floats:
     """Return the transmittance of the glass on each ray from the camera to the sun disc, [..., r].
 
-    It is 0 for a ray that is hidden. toward: directions to the sun's centre in room axes [..., 3];
-    the r rays of each are `disc_rays`.
+    It is 0 for a ray that is hidden. toward: unit vectors to the sun's centre in room axes [...,
+    3]; the r = 61 rays of each are `disc_rays`.
     """
     rays = disc_rays(toward)
     flat = rays.reshape(-1, 3)
@@ -156,7 +156,7 @@ def disc_glass(scene: BoxScene, toward: Floats) -> Floats:
 def disc_visibility(scene: BoxScene, toward: Floats) -> tuple[Floats, Floats]:
     """Return the share of the sun disc that the camera sees, and the glass's transmittance there.
 
-    [n] each; both are 0 for a hidden disc. toward : [n, 3] directions to the sun in room axes.
+    [n] each; both are 0 for a hidden disc. toward : [n, 3] unit vectors to the sun in room axes.
     """
     parts = np.array_split(toward, len(toward) // 500 + 1)  # 500 suns need some 10 MB
     glass = np.concatenate([disc_glass(scene, part) for part in parts])
@@ -462,7 +462,7 @@ class SunPoints:
     def direct(self, toward: Floats) -> Floats32:
         """Return each target's sunlight per lx on the sun's normal, [..., targets].
 
-        toward: directions to the suns in room axes [..., 3].
+        toward: unit vectors to the suns in room axes [..., 3]; suns below the horizon give 0.
         """
         suns = np.asarray(toward, float).reshape(-1, 3)
         totals = np.zeros((len(suns), self.targets))
@@ -491,8 +491,9 @@ def sun_points(
 ) -> SunPoints:
     """Return k surface points prepared for shadow tests: `SunPoints.direct` sums their sunlight.
 
-    position : in room axes [k, 3] m; axis, sign : of the surface's normal [k]; weight : factor on a
-    point's light [k]; target : index of the sum, below `targets`, to which a point adds [k].
+    position : in room axes [k, 3] m; axis, sign : of the surface's normal, 0 to 2 and -1 or 1 [k];
+    weight : factor on a point's light [k]; target : index of the sum, below `targets`, to which a
+    point adds [k].
     """
     inside = _inside(scene, position)
     raised = position.copy()

@@ -21,10 +21,11 @@ MIN_RAYS, MAX_RAYS = 3, 8
 class SurfaceSamples(NamedTuple):
     """Points of surfaces that pixels show, [m] each.
 
-    position [m, 3] m; axis and sign of the face's normal; box: index of the box; pixel: flat index
-    of the pixel; weight: share of the pixel, times the transmittance of the glass in between (or
-    the reflectance of a pane that mirrors it), so that luminance = sum of weight x reflectance x
-    illuminance / pi; mirrored: whether it is seen by a reflection in a pane.
+    position [m, 3] m, in room axes; axis (0 to 2) and sign (-1 or 1) of the face's normal; box:
+    index of the box in the scene; pixel: flat index of the pixel; weight: share of the pixel, times
+    the transmittance of the glass in between (or the reflectance of a pane that mirrors it), so
+    that luminance = sum of weight x reflectance x illuminance / pi; mirrored: whether it is seen by
+    a reflection in a pane.
     """
 
     position: Floats
@@ -42,7 +43,8 @@ class SceneView:
 
     sky [H, W] : share of the pixel that sees the sky, times the transmittance of the glass. plain
     [H, W] : the same for the open plain beyond the modelled ground. height: rows of the panorama;
-    heading_deg: azimuth of its centre column.
+    heading_deg: azimuth of its centre column, clockwise from north. samples: surfaces that all its
+    pixels show.
     """
 
     scene: BoxScene
@@ -60,17 +62,18 @@ class SceneView:
 def surface_points(scene: BoxScene, s: SurfaceSamples, pixels: int) -> SunPoints:
     """Return samples as points whose sum in a pixel is its luminance per lx on the sun's normal.
 
-    s: samples [m]; pixels: number of pixels, to which the indices `s.pixel` belong.
+    s: samples in `scene`; pixels: number of pixels, above all indices `s.pixel`.
     """
     weight = s.weight * scene.reflectance[s.box] / np.pi
     return sun_points(scene, s.position, s.axis, s.sign, weight, s.pixel, pixels)
 
 
 def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.int32], Floats]:
-    """Return pixel index [m] and world direction [m, 3] of sub x sub rays in each pixel.
+    """Return flat pixel index [m] and direction [m, 3] of the m rays, sub x sub in each pixel.
 
-    The panorama has `height` rows and `heading_deg` at its centre column. The rays of a pixel have
-    equal solid angles.
+    Directions are unit vectors, x east, y north, z up. The panorama has `height` rows, twice as
+    many columns, and the azimuth `heading_deg`, clockwise from north, at its centre column. The
+    rays of a pixel have equal solid angles.
     """
     width = 2 * height
     fine_row = (np.arange(height * sub) + 0.5) / sub
@@ -97,8 +100,8 @@ def patch_rays(height: int) -> int:
 def traced_view(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView:
     """Trace the panorama of a box room from its camera, with sub x sub rays for each pixel.
 
-    height : rows of the panorama; heading_deg : of its centre column. Raises InputError for an
-    impossible room.
+    height : rows of the panorama; heading_deg : azimuth of its centre column, clockwise from north.
+    The last four views are kept in memory. Raises InputError for an impossible room.
     """
     scene = build(room)
     pixel, world = pixel_rays(height, heading_deg, sub)
@@ -111,8 +114,9 @@ def traced_view(room: Room, height: int, heading_deg: float, sub: int = 3) -> Sc
 def camera_rays(scene: BoxScene, room: Room, world: Floats, heading_deg: float) -> Floats:
     """Return the directions of a panorama's pixels in room axes, [n, 3], by the camera's true pose.
 
-    world [n, 3]: the directions if the camera were level; heading_deg: azimuth of the panorama's
-    centre column. The tilt and the roll are those of `room`.
+    scene: of the room; world [n, 3]: the directions if the camera were level, x east, y north, z
+    up; heading_deg: azimuth of the panorama's centre column, clockwise from north. The tilt and the
+    roll are those of `room`.
     """
     from_level = rotation(0.0, room.camera_tilt_deg, room.camera_roll_deg, heading_deg)
     return scene.to_room(world @ from_level.T)

@@ -119,9 +119,12 @@ def run(
 ) -> Simulated:
     """Render the truth of every slot of a session's plan and write its pairs.
 
-    Slots that were rendered before in the same way are kept, unless `force`. height : rows of the
-    panoramas; quality : a key of `QUALITIES`; coloured : sky, sun and surfaces have colours;
-    workers : threads of each process. Raises InputError for a room that cannot be rendered.
+    Slots that were rendered before in the same way are kept, unless `force`; pictures of another
+    rendering are deleted. height : rows of the panoramas; quality : a key of `QUALITIES`; coloured
+    : sky, sun and surfaces have colours; workers : threads of each process, None for one for each
+    core, at most 8. Writes the folder truth/, pairs as `write_pairs`, and the table [simulation] of
+    session.toml. Raises InputError for a room that cannot be rendered or a camera profile that
+    cannot be read.
     """
     setup, slots = session.site_file(), session.slots()
     for folder in (session.root, session.truth, session.truth / "sunpatches"):
@@ -159,7 +162,8 @@ def run(
 def render_slots(folder: Path, job: _Job) -> None:
     """Render the slots of `job` in the session `folder`: a panorama and its sun patches for each.
 
-    Around the windows also write a picture as fine as the sensor.
+    They are written below truth/, with a picture of what is around the windows, as fine as the
+    sensor. job: as `run` makes it; a process traces the room once for all jobs.
     """
     session = Session(folder)
     room, fine = _traced(folder, job.room)
@@ -187,7 +191,8 @@ def _traced(root: Path, how: _Room) -> tuple[LitRoom, FineWindows | None]:
 def make_session(out: Path, setup: SiteFile, slots: Sequence[Slot], about: PlanTable) -> Session:
     """Create the session folder `out` with `slots`, in time order, as its plan.
 
-    about: further keys of the table [plan]. Raises InputError if `out` is a session already.
+    about: further keys of the table [plan]. Raises InputError if `out` is a session, is inside one,
+    or has a plan.csv that fieldlum did not write.
     """
     in_order = sorted(slots, key=lambda slot: slot.t_utc)
     return create_session(out, setup, in_order, {**about, "slots": len(slots)})
@@ -256,8 +261,9 @@ def _write_irradiance(session: Session, weather: Weather, slots: Sequence[Slot])
 def write_pairs(
     session: Session, slots: Sequence[Slot], light: Light, lit: Mask, weather: Weather
 ) -> None:
-    """Write pairs.csv: the rendered panorama and the light of each slot, as if it was measured.
+    """Write truth/pairs.csv: the rendered panorama and the light of each slot, as if measured.
 
+    The session's pairs.csv is written with the same rows, unless it has pairs of merged panoramas.
     light: of all slots; lit [len(slots)]: True for rendered slots, others get ok = 0; weather: for
     the global irradiance.
     """

@@ -67,10 +67,10 @@ class FineWindows:
 
 
 def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:
-    """Trace the windows of a room with pixels of at most `pitch_deg`; None if it shows no window.
+    """Trace the windows of a room with pixels at most `pitch_deg` high; None without a window.
 
-    lit: the room as traced for its panorama. A pixel of the panorama is divided into equal parts in
-    each direction, so that both grids match.
+    lit: the room as traced for its panorama; the result is None if the panorama shows no window. A
+    pixel of the panorama is divided into equal parts in each direction, so that both grids match.
     """
     from scipy.sparse import csr_matrix
 
