@@ -294,7 +294,8 @@ class LinearFrame:
 def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
     """Read a raw or JPEG frame as linear camera colours; a raw cell of 2 x 2 is one pixel.
 
-    Raises InputError if the frame cannot be read or is of another camera.
+    Raises InputError if the frame cannot be read or is of another camera, and for an invalid
+    response in the profile.
     """
     if not is_jpeg(path):
         return _from_mosaic(path, profile)

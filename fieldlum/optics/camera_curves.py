@@ -132,9 +132,9 @@ def fit_response(
 ) -> tuple[Floats, float]:
     """Fit a monotone response to codes of the same places in all frames, with known exposures.
 
-    codes: [places, frames]; log_exposure: [frames], natural log; smooth: weight of smoothness.
-    Codes below `low` (default: the `dark_floor` of these codes) are omitted, because a black level
-    that counts as light would bend the complete curve.
+    codes: [places, frames]; log_exposure: [frames], natural log; smooth: weight of the second
+    differences, larger for a stiffer curve. Codes below `low` (default: the `dark_floor` of these
+    codes) are omitted, because a black level that counts as light would bend the complete curve.
 
     The fit is least squares in the log domain (Debevec and Malik, SIGGRAPH 1997, eq. 3) with hat
     weights and a second-difference prior; the result is then made monotone. Response and exposure

@@ -220,10 +220,10 @@ class Provenance:
 class CameraProfile:
     """A camera profile: everything between sensor counts and cd/m2, with its uncertainty.
 
-    shutter: measured shutter times; nd: filters; glare_floor_rel: veiling glare of the lens, as a
-    share of the picture's mean luminance; 0 once [stray] is calibrated. expires: ISO date after
-    which doctor reports a failure, or "". shutter_law: how nominal times without a measured time
-    are converted (optics/exposure.py).
+    lens: one table for each lens on the sensor; shutter: measured shutter times; nd: filters;
+    glare_floor_rel: veiling glare of the lens, as a share of the picture's mean luminance; 0 once
+    [stray] is calibrated. expires: ISO date after which doctor reports a failure, or "".
+    shutter_law: how nominal times without a measured time are converted (optics/exposure.py).
     """
 
     camera: CameraBody

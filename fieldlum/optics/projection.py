@@ -258,7 +258,8 @@ def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> Floats:
 def lens_pixels(lens: LensGeometry, rays: Floats) -> tuple[Floats, Floats, Floats]:
     """Return sensor x, y [px] and angle from the axis [rad] of unit vectors, [...] each.
 
-    rays: [..., 3], y along the panorama's heading, z up. (0, 0) is the sensor's top left corner.
+    rays: [..., 3], x right of the panorama's heading, y along it, z up. (0, 0) is the sensor's top
+    left corner.
     """
     right, up, forward = np.moveaxis(np.asarray(rays, float) @ lens.axes().T, -1, 0)
     across = np.hypot(right, up)
@@ -270,8 +271,8 @@ def lens_pixels(lens: LensGeometry, rays: Floats) -> tuple[Floats, Floats, Float
 def lens_rays(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
     """Return the unit vectors [..., 3] of sensor points; the inverse of `lens_pixels`.
 
-    x_px, y_px: on the sensor [...]. The vectors have y along the panorama's heading and z up.
-    Raises ValueError as `angle_of_radius` does.
+    x_px, y_px: on the sensor [...]. The vectors have x right of the panorama's heading, y along it
+    and z up. Raises ValueError as `angle_of_radius` does.
     """
     dx = np.asarray(x_px, float) - lens.centre_px[0]
     dy = lens.centre_px[1] - np.asarray(y_px, float)

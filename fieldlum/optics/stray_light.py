@@ -21,8 +21,8 @@ _TABLE = 4096  # steps of sin(angle / 2); 0.03 degrees near 0
 def kernel_per_sr(angle_rad: Floats, nodes_deg: Floats, values_per_sr: Floats) -> Floats:
     """Return the stray-light kernel K [1/sr]: linear in ln(angle) between nodes, constant outside.
 
-    nodes_deg, values_per_sr: [k], ascending angles above 0 and K there. The result has the shape of
-    angle_rad.
+    nodes_deg, values_per_sr: k ascending angles above 0 and K there, [k] each. The result has the
+    shape of angle_rad.
     """
     smallest = np.radians(nodes_deg[0])
     place = np.log(np.maximum(angle_rad, smallest))

@@ -17,7 +17,7 @@ class Contrasts:
     """Values with a free factor in each group, such as the contrast of edges in parts of a room.
 
     A fit removes the part of its equations that such factors explain. values [m]: what the factors
-    multiply; group [m]: number of the group, from 0.
+    multiply in each of m equations; group [m]: number of the equation's group, from 0.
     """
 
     values: Floats
@@ -43,7 +43,7 @@ def fit_turn(
 ) -> tuple[Floats, Floats] | None:
     """Return the unknowns [k] of robust least squares, and their covariance [k, k].
 
-    design [m, k]: changes of the values by one unit of each unknown, the turn about three axes
+    design [m, k]: changes of m values by one unit of each of k unknowns, the turn about three axes
     first; target [m]: differences of the values; block [m]: numbers, from 0, of the parts of the
     picture whose errors are independent of each other, for the covariance (sandwich estimate).
     weights [m]: of the values, before the robust ones. contrasts: factors that are removed from the

@@ -135,7 +135,10 @@ def fit_pose(
     keep, excess = np.ones(len(discs), bool), 1.0
 
     def off(values: Floats) -> Floats:
-        """Return measured minus true directions over their uncertainty, by a pose [5], [n, 3]."""
+        """Return measured minus true directions over their uncertainty, [n, 3].
+
+        values: pose and clock [5], in the order of `NAMES`.
+        """
         heading, tilt, roll, scale, clock = values
         true = scaled(shown, scale, axis_deg) @ rotation(heading, tilt, roll, axis_deg).T
         return (true - sun_earlier(suns, clock, site.latitude_deg)) / sigma

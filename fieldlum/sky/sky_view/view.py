@@ -343,7 +343,10 @@ def _shortest_edges(openness: Floats32, factor: int) -> Floats32:
     """
 
     def evenly(values: Floats32, pixel: float) -> Floats32:
-        """Return a map [h, w] blurred by a round Gaussian of half a pixel of the sky view."""
+        """Return a map [h, w] blurred by a round Gaussian of half a pixel of the sky view.
+
+        pixel: width of a pixel of the sky view in pixels of the map.
+        """
         blurred = cv2.GaussianBlur(values, (0, 0), 0.5 * pixel, borderType=cv2.BORDER_REPLICATE)
         return np.asarray(blurred, np.float32)
 
