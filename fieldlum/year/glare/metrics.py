@@ -242,9 +242,9 @@ def source_terms(
 
     A sun is a source too. mean_cdm2 : mean luminance; omega : solid angle, sr; right, up :
     coordinates by `angles_from_view` [rad]; ev_lx : vertical illuminance by the source; background
-    : luminance around it [cd/m2]; all [...]. Rows: L^2 omega / P^2 (`contrast`); Hopkinson's term
-    0.478 L^1.6 (omega / P^2)^0.8 / (Lb + 0.07 omega^0.5 L) for `dgi`; illuminance over the squared
-    angle from the line of sight [lx/deg2] for `veiling_cdm2`.
+    : luminance around the source [cd/m2], Lb; all [...]. Rows: L^2 omega / P^2 (`contrast`);
+    Hopkinson's term 0.478 L^1.6 (omega / P^2)^0.8 / (Lb + 0.07 omega^0.5 L) for `dgi`; illuminance
+    over the squared angle from the line of sight [lx/deg2] for `veiling_cdm2`.
     """
     index = position_index(right, up)
     adaptation_cdm2 = np.maximum(background + 0.07 * np.sqrt(omega) * mean_cdm2, 1e-12)
@@ -318,8 +318,8 @@ class ViewCoverage:
     seen pixels. unseen_illuminance [d] : integral of the cosine over the unseen part, sr; times the
     part's luminance it is what the part adds to Ev. unseen_sources [d] : integral of 1 over the
     squared position index, sr; times the squared luminance it is what the part adds to `contrast`.
-    Both are 0 for a complete direction. words [d] : "seen" (a share of 0.98 or more), "partly seen"
-    (0.5 or more) or "not seen".
+    unseen_illuminance and unseen_sources are 0 for a complete direction. words [d] : "seen" (a
+    share of 0.98 or more), "partly seen" (0.5 or more) or "not seen".
     """
 
     seen_share: Floats

@@ -106,16 +106,17 @@ def glare_answer(
     `SunSource`); None without a sun. melanopic_der : "D65, assumed" for an estimate, else "colour".
     disturbed_share : share (0 to 1) of the views with a grade whose DGP is above 0.40; None if no
     view has a grade. warnings : texts. covered_share : share of the front hemisphere that the
-    picture covers; 1 for a panorama. rammg_cdm2 : of a panorama, see `contrast`.
+    picture covers; 1 for a panorama. rammg_cdm2 : of a panorama, see `metrics.rammg`.
 
     views, a table for each direction : azimuth_deg, altitude_deg (of a single picture) : its
     direction. The names of `METRICS` and of `region_ratios`. melanopic_edi_lx : measured by the
     camera's colour, or estimated; u_melanopic_edi_lx : its standard uncertainty, or None. verdict :
     the grade of DGP; "A to B" if dgp_low and dgp_high have different ones; "not seen". seen :
     "seen", "partly seen" or "not seen", by seen_share (see `ViewCoverage`). dgp_low, dgp_high :
-    bounds of DGP of a partly seen direction. source_count, sources : of a single picture, the
-    strongest 20. reference : evalglare's figures, if requested, of fully seen directions. Undefined
-    figures are None.
+    bounds of DGP of a partly seen direction. source_count : number of glare sources of a single
+    picture; sources : tables of its strongest 20, by the fields of `Sources`, but with right_deg
+    and up_deg. reference : fields of `ReferenceGlare`, if requested, of fully seen directions of a
+    panorama, or of a single picture. Undefined figures are None.
     """
     panorama, heading_deg = picture.panorama, picture.panorama.heading_deg
     views, share = _views_and_share(picture, path, azimuths_deg)

@@ -78,8 +78,8 @@ class DgpUncertainty(NamedTuple):
 def class_of(dgp_exceeded: float) -> str:
     """Return the EN 17037 class of a DGP, 0 to 1, that is exceeded in 5 % of the occupied hours.
 
-    At most 0.35 is "high" protection, at most 0.40 "medium", at most 0.45 "minimum", otherwise
-    "none"; "none" for NaN.
+    At most 0.35 is "high" protection, at most 0.40 "medium", at most 0.45 "minimum" (EN 17037:2018,
+    table A.7), otherwise "none"; "none" for NaN.
     """
     return next((name for name, limit in CLASSES if dgp_exceeded <= limit), NO_CLASS)
 

@@ -74,8 +74,9 @@ class HourBlock:
     def trusted(self) -> Mask:
         """Mask [k]: True for hours whose maps are trusted.
 
-        These are hours for which the model vouches, with an expected error factor of at most 1.2
-        (or an unknown one), unless the captures do not decide whether a mirror shows the sun.
+        These are the hours that the model trusts (`trusted_hours`), without those in which the
+        captures do not decide whether a mirror shows the sun. An expected error factor over 1.2 is
+        not trusted; an unknown one does not decide.
         """
         trusted = trusted_hours(self.prediction)
         for image in self.images:

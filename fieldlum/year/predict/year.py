@@ -291,7 +291,7 @@ def report_hours(annual: Annual) -> Iterator[tuple[str, int]]:
 def report_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
     """Predict the maps of `report_hours` again, and return them in that order.
 
-    They are predicted again because all maps of a year would need a gigabyte of memory. They
+    They are predicted again because all maps of a year would need a gigabyte of memory. The maps
     contain images of the sun in mirrors. fitted, room: the model and its room; light, annual: the
     light of all n hours of the year, and their results. Raises the errors of `hour_blocks.blocks`.
     """
