@@ -198,7 +198,7 @@ def run(
 
     @contextmanager
     def stage(name: str) -> Iterator[None]:
-        """Show the progress of a stage in a `with` block, and store its duration."""
+        """Show the progress of a stage in a `with` block, and store its duration at the end [s]."""
         started_s = time.monotonic()
         with show(name):
             yield

@@ -77,6 +77,7 @@ class BenchData:
     """The pairs of a benchmark, and the models to compare.
 
     data: hours to train on. test: hours that no model was trained on; None to use held-out days.
+    specs: the models.
     """
 
     data: Dataset

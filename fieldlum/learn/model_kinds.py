@@ -14,8 +14,8 @@ class ModelKind:
 
     module: import path. fit: name of the fitting function in the module. baseline: True if `train`
     always tries it, also if the user names another model; its fit has nothing random. slow: True if
-    it is trained step by step, within a time budget: its fit takes budget_s, can
-    continue from a checkpoint, and is never repeated for a report.
+    it is trained step by step, within a time budget: its fit takes budget_s and checkpoint, from
+    which it can continue, and is never repeated for a report.
     """
 
     module: str

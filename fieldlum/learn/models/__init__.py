@@ -151,8 +151,9 @@ class Fitted(Protocol):
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict maps of the n hours of `light`, [n, H, W] cd/m2.
 
-        patch_cdm2: luminance of direct sun only [n, H, W] cd/m2, for models that require it; None
-        for others. Memory grows with the number of hours, so predict in chunks.
+        patch_cdm2: luminance of direct sun only [n, H, W] cd/m2, for models that require it, which
+        raise InputError or ValueError without it; None for others. Memory grows with the number of
+        hours, so predict in chunks.
         """
         ...
 

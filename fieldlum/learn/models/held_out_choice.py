@@ -154,11 +154,11 @@ def sun_is_unmeasured(light: Light) -> Mask:
 def light_variance(data: Dataset) -> Array:
     """Return the relative variance of the irradiance of each hour, from its own readings, [n].
 
-    The range of the readings over the bracket (change or noise) counts as the width of a
-    rectangular distribution (JCGM 100:2008, 4.3.7). The sun's normal irradiance is a difference of
-    two horizontal readings divided by the sine of its altitude, and so are its errors. For a sun
-    under 3 degrees the readings give no value: a direct irradiance of zero is then unknown, and 1
-    is added.
+    The range of the readings over the bracket (change or noise), over their mean
+    (`Dataset.steadiness`), counts as the width of a rectangular distribution (JCGM 100:2008,
+    4.3.7). The sun's normal irradiance is a difference of two horizontal readings divided by the
+    sine of its altitude, and so are its errors. For a sun under 3 degrees the readings give no
+    value: a direct irradiance of zero is then unknown, and 1 is added.
     """
     light = data.light
     variance = (data.steadiness / (np.sqrt(12.0) * _sine_of_altitude(light))) ** 2
@@ -186,9 +186,10 @@ def offset_variance(light: Light) -> Array:
 def beam_variance(light: Light) -> Array:
     """Return the relative variance of the light that errors of the direct irradiance cause, [n].
 
-    Direct irradiance is a difference of two readings. The variance is 0 without it, and 1 at most.
-    Without this variance, a beam of 100 W/m2 at 5 degrees, whose efficacy differs from Perez's,
-    made the patches of stronger beams nearby 1.7 times as bright (measured in the room upstairs).
+    It is twice `offset_variance`, because direct irradiance is a difference of two readings; it is
+    0 without direct irradiance, and 1 at most. Without this variance, a beam of 100 W/m2 at 5
+    degrees, whose efficacy differs from Perez's, made the patches of stronger beams nearby 1.7
+    times as bright (measured in the room upstairs).
     """
     return np.where(light.dni_wm2 > 0.0, np.minimum(2.0 * offset_variance(light), 1.0), 0.0)
 

@@ -127,7 +127,10 @@ def tolerance_rad(height: int) -> float:
 
 
 def near_sun_rad(height: int) -> float:
-    """Return the angle [rad] around the sun in which maps of `height` rows show no image."""
+    """Return the angle [rad] around the sun in which maps of `height` rows show no image.
+
+    It is 10 degrees (chosen), or three pixels if these are more.
+    """
     return float(max(np.radians(_NEAR_SUN_DEG), 3.0 * np.pi / height))
 
 

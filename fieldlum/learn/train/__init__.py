@@ -249,10 +249,10 @@ def fit_and_score(
 
     model: a name of `MODELS`, or "auto" for all of them. patch: with "none" sun patches are not an
     input. budget_s: time in which the network is trained [s], half of it without held-out days.
-    seed: of all random numbers. checkpoint: file that stores the network's last training, and
-    continues it if it exists; None for none. Raises NotEnoughDataError for too few hours to hold
-    any out, or to fit `model`, and if the network has no time; InputError for an impossible room or
-    a checkpoint that cannot be used.
+    seed: of all random numbers. checkpoint: file that stores the network's last training, which
+    continues from it if it exists; None for none. Raises NotEnoughDataError for too few hours to
+    hold any out, or to fit `model`, and if the network has no time; InputError for an impossible
+    room or a checkpoint that cannot be used.
     """
     patch = patch_mode(data, patch)
     captures = len(data)

@@ -124,7 +124,8 @@ class Evidence:
 
     Each pixel has a variance of its own, at its likeliest value, and the noise is the likeliest of
     `_NOISES` for each change, so that the deviation of changed captures does not count as noise.
-    The likelihood is the mean over pixels, because a cloud changes all of them alike.
+    The likelihood is the mean over pixels, because a cloud changes all of them alike. usual: log
+    likelihood without a change; level [n]: median of `Process.y` over the pixels.
     """
 
     def __init__(self, process: Process, rows: Indices) -> None:

@@ -306,7 +306,7 @@ def fit_pixels(
     inverse = second_inverse(arrays)
 
     def fit_part(part: slice) -> None:
-        """Fit a chunk of pixels and store its fitted values in `out`."""
+        """Fit the pixels of the slice `part`, and store their fitted values in `out`."""
         chunk = arrays[part]
         fit = fit_chunk(chunk, scale[part], basis, noise)
         out.b[part] = fit.b
@@ -403,7 +403,7 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     predicted, target = (np.empty(arrays.luminance.shape) for _ in range(2))
 
     def predict_part(part: slice) -> None:
-        """Store predicted and captured light of a chunk of pixels, without the second stage."""
+        """Store predicted and captured light of the pixels `part`, without the second stage."""
         results = _hold_out_chunk(arrays[part], scale[part], basis, noise)
         predicted[:, part], target[:, part] = results
 

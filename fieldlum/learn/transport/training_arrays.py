@@ -133,9 +133,9 @@ def open_sky_from_captures(
 class PatchLight:
     """How maps of sun patches become features of an hour: their light in each cell, and its sum.
 
-    A cell is a rectangle of pixels of the map (`_in_cells`). norms: divisors from the captured
-    hours, for the cells and for their sum [2], with which the features are about 1 when the sun is
-    in the room.
+    A cell is a rectangle of pixels: a map is divided into at most 23 x 23 cells. norms: divisors
+    from the captured hours, for the cells and for their sum [2], with which the features are about
+    1 when the sun is in the room.
     """
 
     norms: Array

@@ -159,7 +159,8 @@ class SceneEvidence:
         """Return the share of the pixels that are wrong with some patches in each hour, [n].
 
         patch: luminance of sun patches, cd/m2 [n, m]. The share is the mean of e^2 / (e^2 + 1.5^2),
-        e being the error of ln luminance: 0 to 1.
+        0 to 1, e being the error of ln luminance (robust function of Geman and McClure; the width
+        is `WIDTH`).
         """
         return _saturated(np.log(self.below + patch) - self.log_seen).mean(axis=1)
 

@@ -164,7 +164,7 @@ class BoxScene:
 
     @cached_property
     def turn(self) -> Floats:
-        """The room's axes as rows in world coordinates, [3, 3]: room = turn @ world."""
+        """The room's axes as rows in world axes (`room_axes`), [3, 3]: room = turn @ world."""
         return room_axes(self.wall_azimuth_deg)
 
     def to_room(self, world: ArrayLike) -> Floats:

@@ -91,11 +91,12 @@ class Pieces:
     """The faces of all boxes, cut into rectangles.
 
     Face 6 b + 2 axis is that of box b at its low end of the axis, the next that at its high end.
-    low, size [f, 2] m: of each face along its two axes; counts [f, 2]: of its pieces along them;
-    first [f]: index of its first piece. For each of p pieces: axis and sign of the normal;
-    reflectance; middle [p, 3] of the part that is not inside another box (NaN if all is). For each
-    of q sample points for direct sun: position [q, 3]; piece [q]: its index; share [q]: 1 over the
-    number of the piece's points.
+    low, size [f, 2] m: lower ends and lengths of each of f faces along its two axes, those across
+    its normal in the order x, y, z; counts [f, 2]: of its pieces along them; first [f]: index of
+    its first piece. For each of p pieces: axis (0 to 2) and sign (-1 or 1) of the normal;
+    reflectance; middle [p, 3] m of the part that is not inside another box (NaN if all is). For
+    each of q sample points for direct sun: position [q, 3] m; piece [q]: index of its piece; share
+    [q]: 1 over the number of that piece's points. Positions are in room axes.
     """
 
     low: Floats
@@ -239,7 +240,10 @@ def _form_factors(
     step, columns = max(1, _RAYS_A_RUN // rays), FIRST_PIECE + len(pieces)
 
     def gathered(start: int) -> Any:
-        """Return the rows of `step` points from index `start` on, CSR [points, columns]."""
+        """Return the rows of the `step` points from index `start` on, CSR [points, columns].
+
+        At the end there can be fewer. The random shift depends on `start` only.
+        """
         origin, up = position[start : start + step], normal[start : start + step]
         toward = _hemispheres(up, rays, np.random.default_rng(start))
         rows, column, weights = [], [], []

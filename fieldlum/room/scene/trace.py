@@ -501,7 +501,10 @@ def sun_points(
     face = np.where(np.asarray(sign) > 0, axis, np.asarray(axis) + 3).astype(np.int8)
 
     def group(chosen: Mask, boxes: list[Box]) -> _Group:
-        """Return the chosen points, in order of their target, and the boxes that may shade them."""
+        """Return the chosen points, in order of their target, and the boxes that may shade them.
+
+        chosen: mask of the points [k].
+        """
         rows = np.flatnonzero(chosen)
         rows = rows[np.argsort(np.asarray(target)[rows], kind="stable")]  # neighbours together
         return _Group(
