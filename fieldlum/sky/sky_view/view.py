@@ -104,7 +104,10 @@ class SkyView:
         return replace(self, grid=grid, pose=pose, others=tuple(others))
 
     def where(self, known: Mask, base: SkyView) -> SkyView:
-        """Return the view with the values of `base` where it is not `known` [h, w]."""
+        """Return the view with the values of `base` where it is not `known` [h, w].
+
+        base: a view on the same grid.
+        """
         arrays = {n: np.where(known, getattr(self, n), getattr(base, n)) for n in CHANNELS}
         return replace(self, **arrays)
 
