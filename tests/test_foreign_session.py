@@ -180,6 +180,15 @@ def test_an_address_of_more_than_a_device_needs_a_permission(tmp_path: Path, add
     require_permitted(address, tmp_path / "session.toml", "--camera")
 
 
+@pytest.mark.parametrize("address", ["modbus:tcp=10.0.0.7:502?kind=smp", "theta:http://a.local"])
+def test_a_permitted_computer_stays_so_in_another_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
+) -> None:
+    wanted = permission_subject(address)
+    monkeypatch.chdir(tmp_path)
+    assert wanted is not None and wanted == permission_subject(address)
+
+
 @pytest.mark.slow
 def test_children_of_a_command_in_a_session_import_nothing_from_it(tmp_path: Path) -> None:
     """`python -c`, as multiprocessing starts workers, imports from the current folder first."""

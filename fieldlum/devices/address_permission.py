@@ -57,12 +57,12 @@ def _path_and_digest(value: str) -> str:
     """Return the path that a value names, without links, a space and, for a file, its SHA-256.
 
     Both decide what happens: a link can get another target, and a file another content. value: of
-    an option, or the place of an address: a program, file, folder or network address. A network
-    address is treated as a path in the current folder, which is not there; so its permission holds
-    for commands that are started in this folder. An impossible path is returned unchanged.
+    an option, or the place of an address: a program, file, folder or network address. What does
+    not exist here is returned unchanged, so that its permission holds in all folders.
     """
     path = Path(shutil.which(value) or value)
     try:
+        path.lstat()
         return f"{path.resolve()} {sha256(path) if path.is_file() else ''}"
     except (OSError, ValueError):
         return value
