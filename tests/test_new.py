@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from places import SEATTLE
 
 from fieldlum.cli import main
-from fieldlum.cli.new_command import site_text
+from fieldlum.cli.new_command import site_text, started_profile
 from fieldlum.core.records import CameraSetup, Exposure, Obstruction, Room, SiteFile, Window
 from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.optics.raw.writing import write_jpeg
@@ -267,6 +267,10 @@ def test_an_own_profile_has_the_size_and_camera_of_a_photo(tmp_path: Path) -> No
     assert (profile.camera.model, profile.camera.width_px) == ("EOS X", 2808)
     assert profile.bracket.megabytes_per_frame == round(photo.stat().st_size / 1e6, 1)
     assert (profile.bracket.f_number, profile.scale.u_rel, profile.camera.date) == (4.0, 0.5, "")
+    vaguer = load_camera_profile(start)
+    dim = replace(vaguer.lens[0].vignetting[0], u_rel=0.4)
+    vaguer = replace(vaguer, lens=(replace(vaguer.lens[0], vignetting=(dim,)),))
+    assert started_profile(vaguer, start).lens[0].vignetting[0].u_rel == 0.4
     shown = CliRunner().invoke(main, ["info", start])
     assert shown.exit_code == 0 and "camera profile" in shown.output, shown.output
     raw = ["new", str(tmp_path / "r.toml"), "--camera", "canon-eos-8mm-uncalibrated"]

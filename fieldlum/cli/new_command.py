@@ -297,14 +297,15 @@ def _write_own_camera(path: Path, start: str, photo: Path | None) -> None:
 def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
     """Return an uncalibrated profile with the values of `profile`; start: name of the latter.
 
-    It has no date of calibration. Its uncertainties of colour and scale are at least those of a
-    guess, and that of vignetting is the guess, because values of another camera are not measured.
+    It has no date of calibration. Its uncertainties of vignetting, colour and scale are at least
+    those of a guess, because values of another camera are not measured.
     """
     from fieldlum.optics.profiles import Provenance
 
     def guessed(lens: Lens) -> Lens:
-        """Return the lens with the uncertainty of a guessed vignetting."""
-        vague = tuple(replace(v, u_rel=_GUESSES["vignetting"]) for v in lens.vignetting)
+        """Return the lens with at least the uncertainty of a guessed vignetting."""
+        u_rel = _GUESSES["vignetting"]
+        vague = tuple(replace(v, u_rel=max(v.u_rel, u_rel)) for v in lens.vignetting)
         return replace(lens, vignetting=vague)
 
     log = f"not measured: started from {start}; replace every part by fieldlum calibrate"
