@@ -1,6 +1,7 @@
 """Pictures on disk: round trips, headers that Radiance reads, malformed input."""
 
 import subprocess
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -134,6 +135,24 @@ def test_a_damaged_picture_gives_a_picture_or_one_line(
             assert read_panorama(broken).luminance_cdm2.ndim == 2
         except InputError as error:
             assert "\n" not in str(error)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("u_percent", "scale"),
+        ("u_percent", "scale=a"),
+        ("u_percent", "scale=2=3"),
+        ("melanopic", "1 2 b 4"),
+        ("melanopic", "1 2 3"),
+        ("melanopic", "1 2 3 nan"),
+    ],
+)
+def test_a_damaged_attribute_of_numbers_is_refused(tmp_path: Path, name: str, text: str) -> None:
+    write_panorama(tmp_path / "a.exr", replace(_panorama(), attributes={name: text}))
+    with pytest.raises(InputError, match=r"a\.exr: .*; expected attributes as .*; merge the"):
+        read_panorama(tmp_path / "a.exr")
 
 
 @pytest.mark.contract

@@ -372,6 +372,18 @@ class Panorama:
     attributes: dict[str, str] = field(default_factory=dict)
 
     @property
+    def shared_u_rel(self) -> dict[str, float]:
+        """The relative standard uncertainties that all pixels of the picture share, by source.
+
+        They are those in the attribute `u_percent`, such as "scale=2 colour=1", divided by 100;
+        empty without the attribute. That of `VEILING_GLARE` is relative to the mean luminance of
+        the picture, the others are relative to a pixel's luminance. Raises ValueError for an
+        attribute of another form, with which no file is read.
+        """
+        words = self.attributes.get(U_PERCENT, "").split()
+        return {name: float(text) / 100 for name, text in (word.split("=") for word in words)}
+
+    @property
     def seen(self) -> Mask:
         """Mask [H, W], True for pixels that a lens saw; True everywhere if flags are unknown."""
         if self.flags is None:

@@ -34,6 +34,7 @@ from fieldlum.core.errors import InputError, input_errors, kind_of, library_mess
 from fieldlum.core.files import open_to_read, replacing_path
 from fieldlum.core.records import MAX_PIXELS, Flag, Panorama, SunSource, parse_utc, utc_text
 from fieldlum.core.strict_toml import plain
+from fieldlum.optics import melanopic
 from fieldlum.optics.profiles import CameraProfile
 
 # Radiance's own white efficacy (WHTEFFICACY of src/common/color.h), in lm/W: neither 683 nor a
@@ -491,6 +492,8 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
         raise InputError(path, found, "square pixels", remedy)
     channels = _channels(path, number, names, header)
     luminance, unit_note = _luminance(channels, header, path)
+    rgb = np.stack([channels[c] for c in "RGB"], axis=-1) if set("RGB") <= set(channels) else None
+    flags = channels["flags"].astype(np.uint16) if "flags" in channels else None
     # OpenEXR returns a damaged attribute as bytes of unknown type.
     expected = "attributes as fieldlum writes them"
     remedy = "merge the panorama again, or copy the file again"
@@ -503,11 +506,14 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
         heading = float(header.get("heading_deg", 180.0))
         t_utc = parse_utc(header["t_utc"]) if header.get("t_utc") else None
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
+        more = (flags, t_utc, sun, rgb, attributes)
+        panorama = Panorama(luminance, heading, channels.get("u"), *more)
+        weights = np.array(attributes.get(melanopic.ATTRIBUTE, "0 0 0 0").split(), float)
+        numbers = (heading, *panorama.shared_u_rel.values(), *weights.reshape(4))
+        if not np.isfinite(numbers).all():
+            raise ValueError("an attribute with a number that is not finite")
     if note := "; ".join(filter(None, (unit_note, layer_note))):
         attributes["note"] = note
-    rgb = np.stack([channels[c] for c in "RGB"], axis=-1) if set("RGB") <= set(channels) else None
-    flags = channels["flags"].astype(np.uint16) if "flags" in channels else None
-    panorama = Panorama(luminance, heading, channels.get("u"), flags, t_utc, sun, rgb, attributes)
     # OpenEXR itself names the view of a stereo picture in this attribute, such as "left".
     view = str(header.get("view", ""))
     has_view = view.startswith(("equirect", "-v", "VIEW=", "rvu "))

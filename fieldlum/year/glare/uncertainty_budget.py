@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Panorama, SunSource
+from fieldlum.core.records import VEILING_GLARE, SunSource
 from fieldlum.core.strict_csv import read_table
 from fieldlum.optics.melanopic import U_SUN_RATIO, melanopic_edi, melanopic_ratio, ratio_u_rel
 from fieldlum.optics.projection import direction
@@ -344,18 +344,6 @@ def read_budgets(path: Path) -> list[dict[str, str]]:
     return rows
 
 
-def shared_u_rel(panorama: Panorama) -> dict[str, float]:
-    """Return the relative standard uncertainties that all pixels of a panorama share, by source.
-
-    They are those in the attribute `u_percent`, such as "scale=2 colour=1", divided by 100; empty
-    without the attribute. That of `VEILING_GLARE` is relative to the mean luminance of the picture,
-    the others are relative to a pixel's luminance. Raises ValueError for an attribute of another
-    form.
-    """
-    words = panorama.attributes.get(U_PERCENT, "").split()
-    return {name: float(text) / 100 for name, text in (word.split("=") for word in words)}
-
-
 def _of_pixels(scene: _Scene) -> Iterator[Contribution]:
     """Yield the sources of the pixels' errors, with what each adds to the u of each figure.
 
@@ -368,7 +356,7 @@ def _of_pixels(scene: _Scene) -> Iterator[Contribution]:
     rest = np.where(panorama.seen, u, 0.0) ** 2  # variance [H, W] that no source explains yet
     sines = np.sin((np.arange(len(light)) + 0.5) / len(light) * np.pi)[:, None] * (light > 0)
     mean_seen = float((light * sines).sum() / max(sines.sum(), 1e-9))
-    stated = shared_u_rel(panorama)
+    stated = panorama.shared_u_rel
     for name, u_rel in stated.items():
         share = u_rel * (np.full_like(light, mean_seen) if name == VEILING_GLARE else light)
         rest -= share**2

@@ -226,13 +226,13 @@ def _write(annual: Annual, budgets: list[budget.Budget], pictures: Pictures, zon
 def camera_u_rel(session: Session) -> dict[str, float]:
     """Return the relative standard uncertainties that all captures share, by part of the camera.
 
-    The names of parts and the values are those of `shared_u_rel` of the newest panorama, without
+    The names of parts and the values are those of `Panorama.shared_u_rel` of the newest, without
     "exposures", whose error each bracket has for itself. If that panorama (of 0.1.0) states none,
     "scale" is from the newest sidecar that can be read; empty if that states none either. Raises
     InputError for a damaged panorama.
     """
     files, sidecar = session.panorama_files(), newest_sidecar(session)
-    stated = budget.shared_u_rel(read_panorama(files[-1])) if files else {}
+    stated = read_panorama(files[-1]).shared_u_rel if files else {}
     if not stated and sidecar is not None:  # a panorama of 0.1.0
         percents = sidecar.factors.get("u_percent", {})
         stated = {"scale": float(np.hypot(percents.get("k", 0), percents.get("colour", 0))) / 100}
