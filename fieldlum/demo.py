@@ -222,7 +222,7 @@ def run(
     with stage("train"):
         scores = train.run(load_pairs(session), MODEL, budget_min=budget_min, seed=1, out=model)
     with stage("predict a year"):
-        annual, _ = predict.run(model, weather, seed=1, scheduler=pool)
+        annual, _ = predict.run(model, weather, scheduler=pool)
     with stage("report"):
         page = report.run(session)
     return Outcome(page, seconds, _figures(session, scores, annual))

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from fieldlum.core.records import Room as Room3d
 from fieldlum.core.records import Site
 from fieldlum.learn import models
 from fieldlum.sky.sky_view.picture import SkyGrid
+from fieldlum.sky.sky_view.pose import CameraPose
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.weather import read_weather
 from fieldlum.year.glare import standards
@@ -144,7 +146,7 @@ def test_blocks_do_not_change_the_answer(year: Annual, model: Path, weather: Pat
 def test_a_sky_view_from_elsewhere_decides_the_disc(
     year: Annual, model: Path, weather: Path, tmp_path: Path
 ) -> None:
-    """Half of the beam arrives from everywhere; workers predict with the same disc."""
+    """Half of the beam arrives from everywhere; workers predict with the same disc and pose."""
     grid = SkyGrid(
         first_altitude_deg=90.0,
         first_azimuth_deg=-180.0,
@@ -155,6 +157,7 @@ def test_a_sky_view_from_elsewhere_decides_the_disc(
     )
     full = np.ones((18, 72), np.float32)
     view = SkyView(grid, full, 0 * full, 9 * full, 0.5 * full, 0.4 * full, 0.6 * full, 9)
+    view = replace(view, pose=CameraPose(heading_deg=30.0))
     view.write(tmp_path / "hall.exr")
     asked = {"out": tmp_path / "y", "sky_view": tmp_path / "hall.exr"}
     other, new = run(model, weather, **asked)
@@ -163,6 +166,11 @@ def test_a_sky_view_from_elsewhere_decides_the_disc(
     assert year.summary.disc_from != other.summary.disc_from
     light = light_of(read_weather(weather, DATA.setup.site).daylight())
     np.testing.assert_allclose(other.hours["disc_lx"], 0.5 * light.direct_lx, rtol=1e-3, atol=1.0)
+    own = shutil.copytree(model, tmp_path / "own")
+    view.write(own / "sky_view.exr")
+    expected = run(own, weather, out=tmp_path / "o")[0].views
+    for name in ("dgp", "u_dgp"):
+        np.testing.assert_array_equal(other.views[name], expected[name], name)
 
 
 @pytest.mark.slow
@@ -517,7 +525,6 @@ def test_a_model_of_earlier_pictures_is_refused_and_the_report_warns(
     model: Path, weather: Path, tmp_path: Path
 ) -> None:
     """As of another room with the same plan, or of a session that was merged and paired again."""
-    from dataclasses import replace
 
     from fieldlum.report.sections import warnings_of
     from fieldlum.session import create_session
@@ -556,7 +563,6 @@ def test_a_model_of_earlier_pictures_is_refused_and_the_report_warns(
 
 @pytest.mark.contract
 def test_a_model_with_patches_needs_a_room(model: Path, weather: Path, tmp_path: Path) -> None:
-    from dataclasses import replace
 
     from fieldlum.session.site_toml import site_table
 
@@ -569,7 +575,6 @@ def test_a_model_with_patches_needs_a_room(model: Path, weather: Path, tmp_path:
 def test_a_model_of_another_site_or_camera_is_refused(
     model: Path, weather: Path, tmp_path: Path
 ) -> None:
-    from dataclasses import replace
 
     from fieldlum.core.records import Panorama
     from fieldlum.optics.images import write_panorama

@@ -6,7 +6,7 @@ With --maps the maps are stored in one Zarr v3 store; each unit of work writes o
 import os
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
@@ -93,8 +93,8 @@ class ModelRoom:
     the model needs maps of sun patches; seen [H, W]: True for pixels that a lens saw, None if all
     were seen; mirrors: plane mirrors in the room that show the sun; sky_view: that of the model's
     captures, None for a model of an earlier version; sky_view_file: name of the file if another sky
-    view replaces it, else ""; pose: the camera's in the captures, from which the sun's place in the
-    maps follows.
+    view replaces it, else ""; pose: that of the sky view, from which the sun's place in the maps
+    follows.
     """
 
     setup: SiteFile
@@ -385,7 +385,7 @@ class HourJudge:
 
         figures: result of `glare`; discs_lx: illuminance of the sun's disc in the draws [m, k].
         """
-        # the poses that `discs_of` draws by the seed 0
+        # the poses that `discs_of` draws
         poses = self._pose.drawn(np.random.default_rng([0, 2]), len(discs_lx))
         ray = block.light.apparent_sun_direction
         suns = np.stack([self._pose.in_pictures(ray, values) for values in poses])
@@ -441,24 +441,24 @@ def room_figures(
 ) -> HourFigures:
     """Predict the n hours of `light` in this process, and return their figures in d directions.
 
-    azimuths_deg: the directions [d], clockwise from north. The random draws are those of seed 0;
-    nothing is written. Raises InputError for maps of a size other than in config.json or an
+    azimuths_deg: the directions [d], clockwise from north. Nothing is written.
+    Raises InputError for maps of a size other than in config.json or an
     impossible room, FloatingPointError for luminances that are not finite.
     """
-    best_lx, discs_lx = discs_of(room, light, seed=0)
+    best_lx, discs_lx = discs_of(room, light)
     judge, hours = HourJudge(room, azimuths_deg), blocks(fitted, room, light, best_lx)
     return joined([judge.figures(block, discs_lx[:, block.rows]) for block in hours])
 
 
-def discs_of(room: ModelRoom, light: Light, seed: int) -> tuple[Floats, Floats]:
+def discs_of(room: ModelRoom, light: Light) -> tuple[Floats, Floats]:
     """Return the sun disc's illuminance in n hours [n] lx, and m = 64 random draws of it [m, n] lx.
 
     It is that of the part that the lens sees, on a plane normal to the sun; 0 where the disc is
     hidden. The first is the most likely one (`disc_lx`). Each draw varies the sky view, the
-    camera's pose and the beam's luminous efficacy within their uncertainties (`drawn_discs_lx`).
-    seed: for the random numbers. Raises InputError for an impossible room.
+    camera's pose and the beam's luminous efficacy within their uncertainties (`drawn_discs_lx`),
+    always by the same random numbers. Raises InputError for an impossible room.
     """
-    rng = np.random.default_rng([seed, 2])
+    rng = np.random.default_rng([0, 2])
     view, setup = room.sky_view, room.setup
     return disc_lx(view, setup, light), drawn_discs_lx(view, setup, light, rng)
 
@@ -472,7 +472,8 @@ class _HoursJob(NamedTuple):
 
     model, store: folders of the model and of the maps (see `begin_maps`; "" for none), relative to
     the folder of the unit of work; digest: sha256 of the model's files; start: index of the first
-    hour in the year; disc_lx [n], discs_lx [m, n]: results of `discs_of` for these hours.
+    hour in the year; disc_lx [n], discs_lx [m, n]: results of `discs_of` for these hours;
+    pose: of the sky view by which these are computed.
     """
 
     model: str
@@ -484,6 +485,7 @@ class _HoursJob(NamedTuple):
     discs_lx: Floats
     store: str
     melanopic: MelanopicYear | None
+    pose: CameraPose
 
     def block(self, rows: slice) -> Self:
         """Return the job of the hours `rows`."""
@@ -499,7 +501,6 @@ def predict_figures(
     *,
     store: Path | None = None,
     melanopic: MelanopicYear | None = None,
-    seed: int = 0,
     scheduler: Scheduler = LOCAL,
 ) -> HourFigures:
     """Predict every hour of `light`, and return the figures in d view directions.
@@ -507,7 +508,7 @@ def predict_figures(
     room: that of the model in model_folder; light: of the n hours of the year, at least one;
     azimuths_deg [d]: the directions, clockwise from north; store: result of `begin_maps`, into
     which the maps are written, None to write none; melanopic: colours by the captures, None without
-    any; seed: for random draws; scheduler: runs the units of work, each of 64 hours, the last of
+    any; scheduler: runs the units of work, each of 64 hours, the last of
     the rest. Raises InputError for maps of a size other than in config.json or an impossible room,
     FloatingPointError for luminances that are not finite, and the errors of `run_each`.
     """
@@ -518,8 +519,8 @@ def predict_figures(
     files = [f for f in ("config.json", "weights.npz", SKY_VIEW) if (model / f).is_file()]
     digest = " ".join(sha256(model / file) for file in files)
     place = store.resolve().relative_to(folder).as_posix() if store else ""
-    discs, azimuths = discs_of(room, light, seed), tuple(float(a) for a in azimuths_deg)
-    job = _HoursJob(name, digest, 0, light, azimuths, *discs, place, melanopic)
+    discs, azimuths = discs_of(room, light), tuple(float(a) for a in azimuths_deg)
+    job = _HoursJob(name, digest, 0, light, azimuths, *discs, place, melanopic, room.pose)
     units, paths = [], tuple(f"{name}/{file}" for file in files)
     for start in range(0, len(light), BLOCK):
         part = job.block(slice(start, start + BLOCK))
@@ -541,7 +542,7 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
     are relative; job: the hours, at most 64, and what is needed for them. Raises InputError for a
     model that cannot be used, FloatingPointError for luminances that are not finite.
     """
-    fitted, room, judge = _prepared(folder / job.model, job.digest, job.azimuths_deg)
+    fitted, room, judge = _prepared(folder / job.model, job.digest, job.azimuths_deg, job.pose)
     (block,) = blocks(fitted, room, job.light, job.disc_lx)
     if job.store:
         write_maps(folder / job.store, job.start, block.pictures_cdm2(room.heading_deg))
@@ -550,11 +551,11 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
 
 @lru_cache(maxsize=1)
 def _prepared(
-    model_folder: Path, digest: str, azimuths_deg: tuple[float, ...]
+    model_folder: Path, digest: str, azimuths_deg: tuple[float, ...], pose: CameraPose
 ) -> tuple[Fitted, ModelRoom, HourJudge]:
-    """Return the model in a folder, its room and its view directions.
+    """Return the model in a folder, its room with another `pose`, and its view directions.
 
     They are loaded once for each process; another `digest` of the folder's files loads them again.
     """
-    room = room_of(read_config(model_folder), model_folder)
+    room = replace(room_of(read_config(model_folder), model_folder), pose=pose)
     return load(model_folder), room, HourJudge(room, np.array(azimuths_deg))

@@ -67,7 +67,6 @@ def run(
     lamps: str = "",
     sky_view: Path | None = None,
     force: bool = False,
-    seed: int = 0,
     label_shift_min: float = 0.0,
     scheduler: Scheduler = LOCAL,
 ) -> PredictedYear:
@@ -80,7 +79,7 @@ def run(
     weather_path: a file as for `read_weather`, or "synthetic". out: output folder; None:
     `default_folder`. views: number of horizontal view directions at equal steps, from the maps'
     heading. maps: also write all maps. occupancy_path: csv of the occupied hours
-    (`read_occupancy`); None: EN 17037's. seed: of random draws. lamps: "" as in the captures;
+    (`read_occupancy`); None: EN 17037's. lamps: "" as in the captures;
     "off"; or the path of a csv as for occupancy, with the hours in which lamps that are marked in
     the captures are on. sky_view: a sky_view.exr in place of the model's. label_shift_min: minutes
     added to the times of the weather file. scheduler: runs the units of work, of 64 hours each.
@@ -101,14 +100,15 @@ def run(
     if lamps:
         lit = Occupancy("off") if lamps == "off" else read_occupancy(Path(lamps))
     pairs = session.pairs if session is not None and melanopic.has_colour(session.pairs) else None
-    options = {"views": views, "occupancy": occupancy.text, "maps": maps, "seed": seed}
+    options = {"views": views, "occupancy": occupancy.text, "maps": maps, "seed": 0}
     options |= {"label_shift_min": label_shift_min, "lamps": lit.text if lit else ""}
     inputs = _files(model_folder, weather_path, sky_view) | options | {"colour": pairs is not None}
     if not force and (existing := _already(folder, inputs)) is not None:
         return PredictedYear(existing, new=False)
     check_writable(folder)
     if sky_view is not None:
-        room = replace(room, sky_view=SkyView.read(sky_view), sky_view_file=sky_view.name)
+        view = SkyView.read(sky_view)
+        room = replace(room, sky_view=view, sky_view_file=sky_view.name, pose=view.pose)
     weather = read_weather(weather_path, room.setup.site, label_shift_min=label_shift_min)
     light = _daylight(weather, weather_path, lit)
     azimuths = view_azimuths_deg(room.heading_deg, views)
@@ -123,14 +123,14 @@ def run(
         shutil.rmtree(folder / name, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)
     store = hour_blocks.begin_maps(folder, len(light), room) if maps else None
-    how = {"store": store, "melanopic": colours, "seed": seed, "scheduler": scheduler}
+    how = {"store": store, "melanopic": colours, "scheduler": scheduler}
     figures = hour_blocks.predict_figures(model_folder, room, light, azimuths, **how)
     figures.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
     figures.hours["trusted"] *= not config.untrusted
     about = _about(room, config, weather, light, azimuths)
     summary = structs.replace(about, inputs=inputs, days=days)
     annual = Annual(light.t_utc, azimuths, figures.hours, _columns(figures), folder, summary)
-    annual, budgets = _judged(annual, figures.uncertainty, hours_used, room, camera, seed)
+    annual, budgets = _judged(annual, figures.uncertainty, hours_used, room, camera)
     if colours is not None:
         hours = melanopic.YearHours.of(light.t_utc, weather.site.timezone, days)
         budgets += melanopic.edi_budget(colours, figures.views, hours, azimuths)
@@ -181,18 +181,17 @@ def _judged(
     hours_used: int,
     room: ModelRoom,
     camera: Mapping[str, float],
-    seed: int,
 ) -> tuple[Annual, list[budget.Budget]]:
     """Return the year with the classes of its directions, and the budgets of their exceeded DGP.
 
     annual: n daylight hours in d directions; uncertainty: of DGP in these hours; hours_used: number
     of occupied hours, daylight and dark ones; room: that of the model; camera: result of
-    `camera_u_rel`; seed: for the random draws of errors.
+    `camera_u_rel`.
     """
     used, azimuths, summary = annual.occupied, annual.azimuths_deg, annual.summary
     # of the k occupied daylight hours: DGP and vertical illuminance, [k, d] each
     dgp, ev_lx, u = annual.views["dgp"][used], annual.views["ev_lx"][used], uncertainty.hours(used)
-    u_rel, rng = float(np.linalg.norm(list(camera.values()))), np.random.default_rng(seed)
+    u_rel, rng = float(np.linalg.norm(list(camera.values()))), np.random.default_rng(0)
     rows = protection(dgp, u, hours_used, azimuths, rng, u_rel * dgp_per_scale(dgp, ev_lx))
     budgets = budget.year_budget(dgp, ev_lx, u, hours_used, azimuths, camera)
     count = int(used.sum())
