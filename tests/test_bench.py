@@ -53,6 +53,15 @@ def test_the_command_writes_table_charts_and_curve(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.contract
+def test_one_usable_hour_is_refused_in_one_line(tmp_path: Path) -> None:
+    pairs = write_pairs(tmp_path, DATA.take([20]))
+    line = ["bench", str(pairs), "--models", "mean", "--out", str(tmp_path / "out")]
+    ran = CliRunner().invoke(main, line)
+    assert (ran.exit_code, ran.stderr.count("\n")) == (5, 1), ran.output
+    assert "1 usable hour; at least 2" in ran.stderr
+
+
+@pytest.mark.contract
 def test_specs_name_models_patches_and_folders(tmp_path: Path) -> None:
     models.save(tmp_path / "kept", models.fit("mean", DATA), DATA, patch="absolute")
     found = parse_specs(["dense", "transport:gain", str(tmp_path / "kept")])

@@ -54,13 +54,18 @@ def day_folds(data: Dataset) -> list[Mask]:
     """Distribute the days over at most five tests; return a mask [n] of each test's captures.
 
     A test holds out the captures of its mask and trains with all others. If there is only one day,
-    its hours are distributed instead; a single hour gives no test. Neighbouring days are held out
-    in different tests, so that these are about days between captured ones, not seasons without
-    captures. Five: Hastie et al., The Elements of Statistical Learning, 7.10.
+    its hours are distributed instead. Neighbouring days are held out in different tests, so that
+    these are about days between captured ones, not seasons without captures. Five: Hastie et al.,
+    The Elements of Statistical Learning, 7.10. Raises NotEnoughDataError for under two hours.
     """
+    if len(data) < 2:
+        raise NotEnoughDataError(
+            f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
+            "and to test; capture more hours"
+        )
     days = len(np.unique(data.days))
     groups, count = (data.days, days) if days > 1 else (np.arange(len(data)), len(data))
-    return list(held_out_masks(groups, min(count, 5))) if count > 1 else []
+    return list(held_out_masks(groups, min(count, 5)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -259,11 +264,6 @@ def fit_and_score(
     data, mirrors = split_images(with_sky_view(data))
     data, changed = without_changes(data, with_patch=patch != "none")
     misplacement = misplacement_of(data, patch)
-    if not day_folds(data):
-        raise NotEnoughDataError(
-            f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
-            "and to test; capture more hours"
-        )
     options: dict[str, Any] = {"patch": patch, "seed": seed, "budget_s": 0.5 * budget_s}
     trials, left_out = _trials(data, model, options)
     choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
