@@ -1226,6 +1226,12 @@ def test_a_csv_of_cams_has_the_values_and_hours_of_pvlib(tmp_path: Path) -> None
     for name in ("dni", "dhi", "ghi"):
         assert getattr(read, f"{name}_wm2").tolist() == expected[name].tolist()
     assert meta["latitude"] == 52.3
+    plain = path.read_text()
+    commas, quoted = plain.replace(";", ","), '"# Latitude (positive North, ISO 19115): 52.3000",,'
+    sheet = commas.replace(quoted.strip('",'), quoted)
+    for text in ("\n" + plain, commas, sheet):
+        path.write_text(text)
+        np.testing.assert_array_equal(read_weather(path, NORTH).dni_wm2, read.dni_wm2)
     with pytest.raises(InputError, match="time reference True solar time"):
         table(_cams(tmp_path / "b.csv", "True solar time (TST)"))
     with pytest.raises(InputError, match="rows that are 15 min apart"):

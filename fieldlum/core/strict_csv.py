@@ -98,12 +98,12 @@ def numbered(lines: Iterable[str], first: int = 1) -> list[Line]:
     """Return the lines that are neither empty nor comments (#), with their numbers in the file.
 
     first: number of the first of `lines`. A line such as ``sep=,``, which some spreadsheets need,
-    is skipped too.
+    is skipped too, and comments that they wrote in quotes.
     """
     return [
         (number, line)
         for number, line in enumerate(lines, start=first)
-        if line.strip()[:1] not in ("", "#") and not line.startswith("sep=")
+        if line.strip().lstrip('"')[:1] not in ("", "#") and not line.startswith("sep=")
     ]
 
 

@@ -203,8 +203,8 @@ def _place(path: Path, cells: Sequence[Any], expected: str, name: str) -> tuple[
 
 
 def _about(lines: Sequence[str]) -> dict[str, str]:
-    """Return the values by key of lines such as ``Elevation (m): 10`` or ``# key: value``."""
-    stated = (line.lstrip("# ").partition(":") for line in lines)
+    """Return the values by key of lines such as ``Elevation (m): 10`` or ``"# key: value",,``."""
+    stated = (line.strip('"#, ').partition(":") for line in lines)
     return {key.strip(): value.strip() for key, _, value in stated}
 
 
@@ -532,19 +532,20 @@ def _read_open_meteo(path: Path, lines: list[str], site: Site) -> WeatherTable:
 
 
 def _read_cams(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a csv of the CAMS radiation service.
+    """Return the rows of a csv of the CAMS radiation service, with semicolons or commas.
 
     The comments above the rows have the place and the column names. A row states the start and end
     of its hour, and energies in Wh/m2, which are the hour's means in W/m2.
     """
     # A row below the comments exists: by it the format was recognised.
-    header = next(k for k, line in enumerate(lines) if not line.startswith("#")) - 1
+    row, text = strict_csv.numbered(lines)[0]
+    header = max((k for k in range(row) if lines[k].startswith("#")), default=0)
     about = {key.partition(" (")[0]: value for key, value in _about(lines[:header]).items()}
     cells = [*(about.get(key, "?") for key in ("Latitude", "Longitude", "Altitude")), None]
     place, _ = _place(path, cells, "a place in the comments", "CAMS")
     if not (reference := about.get("Time reference", "?")).startswith("Universal time"):
         raise InputError(path, f"time reference {reference}", "Universal time (UT)", _AGAIN)
-    names, body = _below(path, lines, header, ";")
+    names, body = _below(path, lines, header, ";" if ";" in text else ",")
 
     def when(cells: Cells) -> datetime:
         """Return the time that the cells of a row state, on the file's clock."""
@@ -674,7 +675,7 @@ FORMATS: tuple[tuple[str, Callable[[Path, list[str], Site], WeatherTable]], ...]
     (r".*\nLatitude \(decimal degrees\)", _read_pvgis),
     (r".*\n[\[{]", _read_json),
     (r".*\n(location_id,)?latitude,longitude,.*utc_offset_seconds", _read_open_meteo),
-    (r".*\n[^,;/]+/[^,;/]+;", _read_cams),
+    (r".*\n\d[^,;/]+/\d[^,;/]+[;,]", _read_cams),
     (r".*\n(?i:(.*,)?period_?(end|start)(,|\n))", _read_solcast),
     (r".*\n(Source,|(?i:(?!.*dni)(.*,)?lat(itude)?,))", _read_sam),
     (r".*\n.*\n(.*ObservationTime\(LST\)|Date \(MM/DD/YYYY\))", _read_tmy3),
