@@ -103,7 +103,7 @@ def numbered(lines: Iterable[str], first: int = 1) -> list[Line]:
     return [
         (number, line)
         for number, line in enumerate(lines, start=first)
-        if line.strip().lstrip('"')[:1] not in ("", "#") and not line.startswith("sep=")
+        if line.strip()[:1] not in ("", "#") and not line.startswith(("sep=", '"# '))
     ]
 
 
