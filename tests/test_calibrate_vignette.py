@@ -39,6 +39,10 @@ def test_frames_of_several_apertures_are_named(tmp_path: Path) -> None:
     ]
     with pytest.raises(InputError, match=r"\(f/5.6: 1.dng; f/8: 2.dng\).*each aperture separately"):
         vignette.from_uniform(paths, PROFILE)
+    table = tmp_path / "angles.csv"
+    table.write_text("angle_deg,value,f_number\n0,1,5.6\n20,0.9,\n40,0.8,8\n")
+    with pytest.raises(InputError, match=r"\(f/5.6: reading 2; f/8: reading 3\).*one table"):
+        vignette.from_table(table, PROFILE)
 
 
 @pytest.mark.slow

@@ -70,10 +70,10 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
 
     The first form has the columns angle_deg and value, the second file, x_px and y_px. Optional
     columns: reference (a meter's reading at that time, which corrects the drift of a lamp); u_rel
-    (default 0.005) and f_number (of the first line; default that of the profile's bracket) in the
+    (default 0.005) and f_number (equal in all lines; default that of the profile's bracket) in the
     first form; radius_px of the patch (default 12) in the second. lens: index for the first form;
     the second has the lens that shows the first patch. Files are relative to the csv. Raises
-    InputError for other columns or values, unreadable frames, and frames of several apertures.
+    InputError for other columns or values, unreadable frames, and several apertures.
     """
     if "angle_deg" not in fit_steps.columns_of(path):
         return _from_patches(path, profile)
@@ -84,7 +84,9 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
     away_deg, shown = np.abs(angle), profile.lens[lens]
     fit_steps.refuse_beyond_lens(away_deg.max(), shown, path)
     r = away_deg / (shown.full_angle_deg / 2)
-    return Samples(r, value / reference, u_rel, rows[0]["f_number"], lens, (path,))
+    f_numbers = {Path(f"reading {k}"): row["f_number"] for k, row in enumerate(rows, 1)}
+    f_number = _one_aperture(path, f_numbers)
+    return Samples(r, value / reference, u_rel, f_number, lens, (path,))
 
 
 def _from_patches(path: Path, profile: CameraProfile) -> Samples:
@@ -102,13 +104,15 @@ def _from_patches(path: Path, profile: CameraProfile) -> Samples:
         value = float(rgb @ weights) / row["reference"]
         readings.append((r, value, float(np.hypot(u_patch, 0.002))))
         f_numbers[at.path] = frame.exposure.f_number
-    f_number = _one_aperture(path, f_numbers, "write one table for each aperture")
+    f_number = _one_aperture(path, f_numbers)
     r, value, u_rel = np.array(readings).T
     return Samples(r, value, u_rel, f_number, lens, tuple(f_numbers), places)
 
 
-def _one_aperture(source: Path, f_numbers: dict[Path, float], remedy: str) -> float:
-    """Return the f-number of all frames. Raises InputError if they have several."""
+def _one_aperture(
+    source: Path, f_numbers: dict[Path, float], remedy: str = "write one table for each aperture"
+) -> float:
+    """Return the f-number of all frames or readings. Raises InputError if they have several."""
     files = {f_number: file.name for file, f_number in f_numbers.items()}
     if len(files) > 1:
         shown = "; ".join(f"f/{f_number:g}: {files[f_number]}" for f_number in sorted(files))
