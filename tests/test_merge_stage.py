@@ -221,11 +221,16 @@ def test_a_folder_without_capture_json_is_read_by_exif(session: Session) -> None
 @pytest.mark.contract
 def test_the_survey_lists_every_bracket(session: Session) -> None:
     slots = [take(session, 0), take(session, 1)]
+    own = session.panoramas / "contact-2 of May.png"
+    for page in (own, session.panoramas / "contact-2.png", session.panoramas / "contact-3.png"):
+        page.parent.mkdir(exist_ok=True)
+        page.touch()  # of an earlier merge of more brackets
     merge.run(session, SMALL)
     with (session.panoramas / "quality.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [r["slot"] for r in rows] == slots and rows[0]["frames"] == "3"
     assert (session.panoramas / "contact-1.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(p.name for p in session.panoramas.glob("contact*")) == ["contact-1.png", own.name]
 
 
 # ----------------------------------------------------------------------------------------------

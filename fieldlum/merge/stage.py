@@ -5,6 +5,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
+from itertools import count
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
@@ -360,16 +361,21 @@ _PER_ROW, _PER_PAGE = 8, 96
 
 
 def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
-    """Write thumbnails of the panoramas to panoramas/contact-1.png and so on.
+    """Write thumbnails of the panoramas to panoramas/contact-1.png and so on; remove older pages.
 
     One thumbnail for each sidecar, 96 on a page; its place stays white if the panorama is missing.
     False colour by log luminance from 1 to 10 000 cd/m2. Pixels with any flag are grey. Raises
     InputError for a panorama that cannot be read.
     """
     zone = ZoneInfo(session.site_file().site.timezone)
-    for first in range(0, len(sidecars), _PER_PAGE):
-        sheet = _sheet(session, sidecars[first : first + _PER_PAGE], zone)
-        write_file(session.panoramas / f"contact-{first // _PER_PAGE + 1}.png", png_of(sheet))
+    for page in count(1):
+        path = session.panoramas / f"contact-{page}.png"
+        if on_page := sidecars[(page - 1) * _PER_PAGE : page * _PER_PAGE]:
+            write_file(path, png_of(_sheet(session, on_page, zone)))
+        elif path.is_file():
+            path.unlink()
+        else:
+            return
 
 
 def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDArray[np.uint8]:
