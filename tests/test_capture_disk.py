@@ -7,6 +7,7 @@ import os
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -19,6 +20,7 @@ from fieldlum.session import (
     day_files,
     read_day,
 )
+from fieldlum.web.snapshot import Snapshots
 
 
 @pytest.mark.contract
@@ -32,6 +34,18 @@ def test_full_disk_is_recorded_and_survived(rig: Field) -> None:
     assert rig.outcomes() == ["done"] * 3
     assert events.count("disk-full") == 1 and "device-lost" not in events
     assert not (rig.session.root / ".reserve").exists()
+
+
+@pytest.mark.contract
+def test_the_days_that_fit_are_those_of_the_place(tmp_path: Path) -> None:
+    """Ten hours of one day in Seattle, which are of two days in UTC."""
+    session = make_session(tmp_path / "s", 10)
+    rig = Field(session, FastClock(T0 - timedelta(minutes=5)))
+    rig.run()
+    live, shown = rig.shown[-1], Snapshots(session)._disk(session.slots())
+    days = live.bytes_free / (10 * session.slot_bytes())
+    assert live.disk_days == pytest.approx(days, rel=0.01)  # sizes of capture.json differ
+    assert shown["days"] == pytest.approx(days, rel=0.01)
 
 
 @pytest.mark.contract

@@ -245,6 +245,10 @@ def test_make_ups_have_the_same_sun_and_nothing_is_taken_out(tmp_path: Path) -> 
     assert answer["missed"] == len(before) - 20 == len(answer["made_up"]) and not answer["lost"]
     after = {slot.id: slot for slot in session.slots()}
     assert {slot.id for slot in before} <= set(after) and (root / "plan.0.csv").exists()
+    added = [after[pair["slot"]].t_utc for pair in answer["made_up"]]
+    local = {sun.standard_date(t, SEATTLE.timezone) for t in added}
+    assert len(local) < len({t.date() for t in added})  # afternoons of the west are tomorrow in UTC
+    assert f"added on {len(local)} days" in makeup.sentences(answer, SEATTLE.timezone)[1]
     for pair in answer["made_up"]:
         old, new = after[pair["missed"]], after[pair["slot"]]
         assert new.t_utc > now and new.exposures == old.exposures
@@ -278,7 +282,8 @@ def test_a_missed_make_up_is_made_up_again(tmp_path: Path) -> None:
     third = makeup.run(session, datetime(2029, 5, 1, tzinfo=UTC))
     assert (third["missed"], third["recovered"], len(third["made_up"])) == (9, 4, 9)
     assert (
-        makeup.sentences(third)[0] == "9 slots missed, 0 of them already have a make-up slot; "
+        makeup.sentences(third, SEATTLE.timezone)[0]
+        == "9 slots missed, 0 of them already have a make-up slot; "
         "4 missed slots have been made up for"
     )
 
@@ -308,7 +313,7 @@ def test_a_replan_killed_before_its_last_write_is_ended(
 def test_nothing_missed_is_nothing_to_do(tmp_path: Path) -> None:
     session = open_session(_session(tmp_path, daylight_hours([date(2027, 4, 10)], SEATTLE), 0))
     answer = makeup.run(session, datetime(2027, 4, 1, tzinfo=UTC))
-    assert answer["missed"] == 0 and makeup.sentences(answer) == [
+    assert answer["missed"] == 0 and makeup.sentences(answer, SEATTLE.timezone) == [
         "no slot is missing; the plan is unchanged"
     ]
 

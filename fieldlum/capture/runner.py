@@ -31,6 +31,7 @@ from fieldlum.session.slot_states import (
     read_slot_states,
     slots_to_do,
 )
+from fieldlum.sky.sun import standard_date
 from fieldlum.version import __version__
 
 
@@ -437,7 +438,8 @@ class _Runner:
         counts = {name: outcomes[name] for name in SETTLED}
         sample = self.logger.last if self.logger else None
         free_bytes = disk_usage(self.session.root).free
-        days = max(1, len({slot.t_utc.date() for slot in self.slots}))
+        zone = self.setup.site.timezone
+        days = max(1, len({standard_date(slot.t_utc, zone) for slot in self.slots}))
         bytes_per_day = self.bytes_per_slot * len(self.slots) / days
         return Live(
             state=self._state,

@@ -83,7 +83,7 @@ def command(
     if replan:
         session = open_session(target)
         answer = makeup.run(session, now)
-        sentences = makeup.sentences(answer)
+        sentences = makeup.sentences(answer, site.timezone)
     else:
         assert out is not None and set_ is not None
         today = plan.today_at(site, now)

@@ -174,8 +174,11 @@ def _complete_interrupted_replan(session: Session) -> PlanTable:
     return about
 
 
-def sentences(answer: JsonTable) -> list[str]:
-    """Return sentences to print on make-up slots; answer: the result of `run`."""
+def sentences(answer: JsonTable, timezone: str) -> list[str]:
+    """Return sentences to print on make-up slots; answer: the result of `run`.
+
+    timezone: IANA name, for the local standard dates.
+    """
     recovered, made_up, lost = answer["recovered"], answer["made_up"], answer["lost"]
     again = f"; {recovered} missed slots have been made up for" if recovered else ""
     if not answer["missed"]:
@@ -183,7 +186,8 @@ def sentences(answer: JsonTable) -> list[str]:
     missed = f"{answer['missed']} slots missed, {answer['already']} of them already have"
     texts = [f"{missed} a make-up slot{again}"]
     if made_up:
-        days = sorted({f"{parse_utc(pair['slot']):%Y-%m-%d}" for pair in made_up})
+        slots = [parse_utc(pair["slot"]) for pair in made_up]
+        days = sorted({str(sun.standard_date(t, timezone)) for t in slots})
         off_deg = max(pair["sun_off_deg"] for pair in made_up)
         added = f"{len(made_up)} make-up slots added on {len(days)} days: {listed(days)}"
         near = f"the sun is within {off_deg:g} deg of its position in the missed slot"

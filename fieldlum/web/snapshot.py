@@ -537,7 +537,7 @@ class Snapshots:
     def _disk(self, slots: list[Slot]) -> JsonTable:
         """Return the free space, and the days of captures that fit, None if that is unknown."""
         free_bytes = shutil.disk_usage(self._session.root).free
-        days = len({self._local_day(slot.t_utc) for slot in slots})
+        days = len({sun.standard_date(slot.t_utc, self._zone.key) for slot in slots})
         bytes_per_day = self._session.slot_bytes() * len(slots) / max(days, 1)
         days_left = free_bytes / bytes_per_day if bytes_per_day else None
         return {"free_bytes": free_bytes, "days": days_left}
