@@ -264,6 +264,14 @@ def test_only_one_capture_at_a_time(session: Session) -> None:
         sole_user(session, "capture"),
     ):
         pass
+    if sys.platform != "win32":  # nobody can write a locked file there
+        with (
+            sole_user(session, "capture"),
+            pytest.raises(InputError, match="another fieldlum captures"),
+        ):
+            (session.root / ".capture.lock").write_text("0\n")
+            with sole_user(session, "capture"):
+                pass
 
 
 @pytest.mark.contract

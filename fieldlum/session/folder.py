@@ -379,7 +379,8 @@ def sole_user(session: Session, purpose: Literal["capture", "log"]) -> Iterator[
     except Timeout:
         other = "another fieldlum"
         with suppress(OSError, ValueError):  # on Windows nobody can read a locked file
-            other = f"another fieldlum (process {int(path.read_text(encoding='utf-8'))})"
+            number = int(path.read_text(encoding="utf-8"))
+            other += f" (process {number})" if number > 0 else ""
         found, remedy = f"{other} {_LOCKED[purpose]} this session", "stop the other process first"
         raise InputError(session.root, found, "one process at a time", remedy) from None
     try:
