@@ -101,7 +101,7 @@ def test_every_form_of_pvgis_gives_the_same_hours(tmp_path: Path, kind: str) -> 
         path = _pvgis_json(tmp_path / "a.json", year)
     else:
         path = _pvgis_epw(tmp_path / "a.epw", year, 1 if "zone" in kind else 0)
-    found = weather.read_weather(path, EAST)
+    found = weather.read_weather(str(path), EAST)
     assert any("time offset" in text for text in found.repairs)
     assert len(found) == 8760
     noon = found.at([datetime(2027, 6, 21, 11, 10, 34, tzinfo=found.t_utc[0].tzinfo)])

@@ -46,7 +46,7 @@ _MAX_DARK_SHARE = 0.02
 # reading
 
 
-def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Weather:
+def read_weather(path: str | Path, site: Site, *, label_shift_min: float = 0.0) -> Weather:
     """Read a weather file of any format of `formats` as hours at `site`.
 
     label_shift_min: minutes added to the times that the file states, if its labels are wrong;
@@ -60,7 +60,7 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     `check_plausible` finds: light at night, wrong units, exchanged columns, labels that are not at
     the middle of their hour. Raises NotEnoughDataError without a single hour that has DNI and DHI.
     """
-    if str(path) == SYNTHETIC:
+    if str(path := Path(path)) == SYNTHETIC:
         if label_shift_min:
             raise InputError(path, "no file", "a weather file to shift", "omit --label-shift")
         return synthetic_weather(site)
