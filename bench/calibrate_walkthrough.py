@@ -83,7 +83,7 @@ def _shoot(
     target: Path,
     heading: float = 180.0,
 ) -> Path:
-    camera = SimulatedCamera(Still(panorama), profile, FastClock(START), overhead_s=0.0)
+    camera = SimulatedCamera(Still(panorama), profile, FastClock(START))
     return camera.expose(exposure, target, heading_deg=heading)
 
 

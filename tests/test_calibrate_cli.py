@@ -44,7 +44,7 @@ def _shoot(
     luminance: np.ndarray, target: Path, heading: float = 180.0, exposure: Exposure | None = None
 ) -> Path:
     camera = SimulatedCamera(
-        Still(luminance), TRUTH, FastClock(datetime(2027, 3, 20, 12, tzinfo=UTC)), overhead_s=0.0
+        Still(luminance), TRUTH, FastClock(datetime(2027, 3, 20, 12, tzinfo=UTC))
     )
     return camera.expose(exposure or Exposure(1 / 60, 5.6), target, heading_deg=heading)
 
@@ -160,7 +160,7 @@ def test_response_of_the_simulated_jpeg_camera(tmp_path: Path) -> None:
         np.repeat(10 ** rng.uniform(0.5, 3, (H // 6, H // 3)), 6, axis=0), 6, axis=1
     )
     camera = SimulatedCamera(
-        Still(luminance), truth, FastClock(datetime(2027, 3, 20, 12, tzinfo=UTC)), overhead_s=0.0
+        Still(luminance), truth, FastClock(datetime(2027, 3, 20, 12, tzinfo=UTC))
     )
     folder = tmp_path / "bracket"
     folder.mkdir()

@@ -38,9 +38,7 @@ class SlippingCamera(Camera):
 
     def __init__(self, clock: FastClock, slips: set[int]) -> None:
         world = SimpleNamespace(scene=lambda t_utc: EVEN_LIGHT)
-        self._camera = SimulatedCamera(
-            world, load_camera_profile("sim-fisheye"), clock, overhead_s=1.0
-        )  # type: ignore[arg-type]
+        self._camera = SimulatedCamera(world, load_camera_profile("sim-fisheye"), clock)  # type: ignore[arg-type]
         self._slips, self.count, self.info = slips, 0, self._camera.info
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:

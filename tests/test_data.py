@@ -149,7 +149,7 @@ def test_a_heading_in_a_radiance_picture_is_obeyed(pairs: Path) -> None:
     rows = [",".join(cells[:at] + cells[at + 1 :]).replace(".exr", ".hdr") for cells in lines]
     pairs.write_text("\n".join(rows))
     assert load_pairs(pairs).heading_deg == 90.0
-    write_radiance_hdr(pairs.parent / "m3.hdr", DATA.luminance_cdm2[3], header=("made by hand",))
+    write_radiance_hdr(pairs.parent / "m3.hdr", DATA.luminance_cdm2[3])
     with pytest.raises(InputError, match=r"m3\.hdr: a heading of 180 deg; expected 90 deg"):
         load_pairs(pairs)
 

@@ -219,20 +219,22 @@ def moody(pipe: Connection) -> None:
 
 @pytest.mark.slow
 @pytest.mark.contract
-def test_hang_and_crash_are_survived(tmp_path: Path) -> None:
+def test_hang_and_crash_are_survived(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     exposure = Exposure(0.01, 5.6)
     (tmp_path / "photo").write_bytes(photo(exposure))
     for name, why in (
         ("hang", r"did not answer within 3.01 s and its process was killed"),
         ("crash", r"crashed in 'expose' \(signal SIGABRT\)"),
     ):
-        camera = GphotoCamera(moody, "Moody", readout_s=3.0)
+        camera = GphotoCamera(moody, "Moody")
+        monkeypatch.setattr("fieldlum.devices.gphoto.PATIENCE_S", 3.0)
         assert camera.expose(exposure, tmp_path / f"before_{name}").is_file()
         with pytest.raises(DeviceError, match=why):
             camera.expose(exposure, tmp_path / name)
         with pytest.raises(DeviceError, match="gphoto: "):  # until it is opened again
             camera.expose(exposure, tmp_path / "after")
         camera.close()
+        monkeypatch.undo()
 
 
 def dies(pipe: Connection) -> None:

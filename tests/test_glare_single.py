@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from radiance_header import add_lines
 
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
@@ -125,7 +126,8 @@ def test_a_missing_or_contradictory_view_is_refused(
 @pytest.mark.contract
 def test_two_views_and_a_panorama_with_a_view_are_refused(tmp_path: Path, maps: np.ndarray) -> None:
     path = tmp_path / "two.hdr"
-    write_radiance_hdr(path, maps[:, :90], header=("VIEW= -vtv -vh 60 -vv 60",), view=FISHEYE_VIEW)
+    write_radiance_hdr(path, maps[:, :90], view=FISHEYE_VIEW)
+    add_lines(path, "VIEW= -vtv -vh 60 -vv 60")
     with pytest.raises(InputError, match="one VIEW"):
         read_picture(path)
     write_radiance_hdr(path, maps, heading_deg=180.0, view=FISHEYE_VIEW)

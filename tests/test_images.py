@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from radiance_header import add_lines
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Panorama, SunSource
@@ -91,13 +92,13 @@ def test_radiance_reads_what_we_write(tmp_path: Path) -> None:
 
 @pytest.mark.analytic
 def test_exposure_lines_multiply_and_are_undone(tmp_path: Path) -> None:
-    write_radiance_hdr(
-        tmp_path / "a.hdr", np.full(SHAPE, 100.0), header=("EXPOSURE=2", "EXPOSURE=.5")
-    )
+    write_radiance_hdr(tmp_path / "a.hdr", np.full(SHAPE, 100.0))
+    add_lines(tmp_path / "a.hdr", "EXPOSURE=2", "EXPOSURE=.5")
     np.testing.assert_allclose(
         read_radiance_hdr(tmp_path / "a.hdr")[0].luminance_cdm2, 100.0, rtol=0.004
     )
-    write_radiance_hdr(tmp_path / "b.hdr", np.full(SHAPE, 100.0), header=("EXPOSURE=4",))
+    write_radiance_hdr(tmp_path / "b.hdr", np.full(SHAPE, 100.0))
+    add_lines(tmp_path / "b.hdr", "EXPOSURE=4")
     np.testing.assert_allclose(
         read_radiance_hdr(tmp_path / "b.hdr")[0].luminance_cdm2, 25.0, rtol=0.004
     )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from radiance_header import add_lines
 
 from fieldlum.core.errors import InputError
 from fieldlum.optics.images import (
@@ -195,13 +196,16 @@ def test_opencv_and_imageio_files_are_read(tmp_path: Path) -> None:
 def test_inherited_views_count_only_when_the_picture_has_none(tmp_path: Path) -> None:
     own, inherited = "VIEW= -vta -vh 180 -vv 180", "\tVIEW= -vth -vh 180 -vv 180"
     path = tmp_path / "a.hdr"
-    write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, own))
+    write_radiance_hdr(path, np.ones((4, 4)))
+    add_lines(path, inherited, own)
     header = read_radiance_hdr(path)[1]
     assert "-vta" in header.view and header.views
-    write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, inherited))
+    write_radiance_hdr(path, np.ones((4, 4)))
+    add_lines(path, inherited, inherited)
     header = read_radiance_hdr(path)[1]
     assert "-vth" in header.view and not header.views
-    write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, "\t" + own))
+    write_radiance_hdr(path, np.ones((4, 4)))
+    add_lines(path, inherited, "\t" + own)
     assert read_radiance_hdr(path)[1].view == ""
 
 

@@ -18,7 +18,7 @@ from fieldlum.optics.raw.writing import write_jpeg
 
 @pytest.mark.analytic
 def test_the_variance_of_a_pixel_that_moved_is_its_chi2_about_the_mean() -> None:
-    """Two frames with the variance 100 DN^2 show 100 and 120 cd/m2; the prediction is no mean."""
+    """Two frames with the variance 100 DN^2 show 100 and 120 cd/m2."""
     exposures, counts = (100.0, 50.0), (10_000, 6_000)
     black, full = np.zeros((), np.float32), np.asarray(60_000.0, np.float32)
     frames = [
@@ -27,7 +27,7 @@ def test_the_variance_of_a_pixel_that_moved_is_its_chi2_about_the_mean() -> None
         )
         for e, y in zip(exposures, counts, strict=True)
     ]
-    merged = merge_signals(frames, (1, 2, 2), passes=1)
+    merged = merge_signals(frames, (1, 2, 2))
     assert merged.value_cdm2 == pytest.approx(104.0, rel=1e-5)  # weights 100 and 25
     chi2 = 100 * (100 - 104) ** 2 + 25 * (120 - 104) ** 2
     assert merged.variance == pytest.approx(chi2 / 125, rel=1e-4)

@@ -75,16 +75,13 @@ class GphotoCamera(Camera):
     Raises DeviceError if the camera cannot be opened or offers no shutter times.
     """
 
-    def __init__(
-        self, serve: Serve, model: str = "", *, delete: bool = False, readout_s: float = PATIENCE_S
-    ) -> None:
+    def __init__(self, serve: Serve, model: str = "", *, delete: bool = False) -> None:
         """Open the first camera whose name contains `model`, in a child process that runs `serve`.
 
-        delete: delete pictures on the card after copying; readout_s: longest time for a frame, in
-        addition to its shutter time, before the process counts as hung.
+        delete: delete pictures on the card after copying.
         """
         self._child = Child("gphoto", serve)
-        self._delete, self._readout_s = delete, readout_s
+        self._delete = delete
         with closed_on_error(self):
             about: dict[str, Any] = self._child.ask("open", model, timeout_s=PATIENCE_S)
             # name of the widget and its choices, by setting: shutter, aperture, iso
@@ -107,7 +104,7 @@ class GphotoCamera(Camera):
             if shown != text:
                 found = f"{widget} was set to {text}, but the camera shows {shown}"
                 raise DeviceError(f"gphoto: {found}; set its dial to M")
-        wait_s = exposure.shutter_s + self._readout_s
+        wait_s = exposure.shutter_s + PATIENCE_S
         return Path(self._child.ask("expose", str(target), self._delete, timeout_s=wait_s))
 
     def check_offered(self, exposure: Exposure) -> None:

@@ -60,13 +60,12 @@ class Merged(NamedTuple):
 
 
 def merge_signals(
-    frames: Sequence[Signal], shape: tuple[int, ...], *, passes: int = 2, u_ratio: float = 0.003
+    frames: Sequence[Signal], shape: tuple[int, ...], *, u_ratio: float = 0.003
 ) -> Merged:
     """Return the merged pixels of frames that all have one `shape`, most exposed first.
 
-    passes: number of weighted passes. u_ratio: relative disagreement of frames that does not count
-    as motion. The frames are merged in strips of rows, each of which goes through all passes while
-    it is in a core's cache.
+    u_ratio: relative disagreement of frames that does not count as motion. The frames are merged in
+    strips of rows, each of which goes through all passes while it is in a core's cache.
     """
     value, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
     flags = np.empty(shape, np.uint8)
@@ -75,16 +74,16 @@ def merge_signals(
     for first in range(0, shape[0], step):
         rows = slice(first, min(first + step, shape[0]))
         strips = [FramePixels(signal, *signal.strip(rows.start, rows.stop)) for signal in frames]
-        value[rows], variance[rows], flags[rows] = merge_pixels(strips, passes, u_ratio)
+        value[rows], variance[rows], flags[rows] = merge_pixels(strips, u_ratio)
     return Merged(value, variance, flags)
 
 
-def merge_pixels(frames: Sequence[FramePixels], passes: int = 2, u_ratio: float = 0.003) -> Merged:
+def merge_pixels(frames: Sequence[FramePixels], u_ratio: float) -> Merged:
     """Return the merged values of the same pixels of some frames, most exposed first.
 
-    passes: number of weighted passes. u_ratio: relative disagreement of frames that does not count
-    as motion. Where frames disagree by more than five standard deviations beyond it, the pixel gets
-    the flag MOTION and a larger variance.
+    u_ratio: relative disagreement of frames that does not count as motion. Where frames disagree
+    by more than five standard deviations beyond it, the pixel gets the flag MOTION and a larger
+    variance.
 
     Values of dark pixels can be negative, through noise. A pixel that every frame loses to
     saturation gets a lower bound and the flag CLIPPED_HIGH. If a frame lost it only because its
@@ -93,7 +92,7 @@ def merge_pixels(frames: Sequence[FramePixels], passes: int = 2, u_ratio: float 
     mean = _unweighted_mean(frames)
     weights: list[Floats32] = []
     information = mean  # inverse variance of the mean, from the first weighted pass on
-    for _ in range(passes):
+    for _ in range(2):  # weights by the unweighted mean, then by their own mean
         predicted_cdm2 = np.maximum(mean, 0.0)
         weights = [frame.weight(predicted_cdm2) for frame in frames]
         information = _sum(weights, [frame.signal.per_cdm2 for frame in frames])

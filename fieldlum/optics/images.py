@@ -332,22 +332,17 @@ def encode_rgbe(rgb: Floats) -> NDArray[np.uint8]:
 
 
 def write_radiance_hdr(
-    path: Path,
-    pixels: Floats,
-    *,
-    view: str = "",
-    heading_deg: float | None = None,
-    header: tuple[str, ...] = (),
+    path: Path, pixels: Floats, *, view: str = "", heading_deg: float | None = None
 ) -> None:
     """Write cd/m2 [H, W] or radiance RGB [H, W, 3] in W/sr/m2 as a Radiance picture (flat RGBE).
 
     view: view options of Radiance, such as "-vta -vh 180 -vv 180"; a panorama has heading_deg
-    instead, the azimuth of its centre, clockwise from north; header: further lines of the header,
-    without line ends. Raises OSError if the file cannot be written.
+    instead, the azimuth of its centre, clockwise from north. Raises OSError if the file cannot
+    be written.
     """
     values = np.asarray(pixels)
     height, width = values.shape[:2]
-    lines = ["#?RADIANCE", *header]
+    lines = ["#?RADIANCE"]
     if heading_deg is not None:
         lines.append(f"{PANORAMA_LINE}{heading_deg:.6g}")
     if view:

@@ -162,18 +162,15 @@ class SimulatedCamera(Camera):
         heading_deg: float = 180.0,
         seed: int = 1,
         clock_offset_s: float = 0.0,
-        overhead_s: float | None = None,
     ) -> None:
         """Point the camera.
 
         heading_deg: azimuth of its view, clockwise from true north, unless `expose` states another;
-        seed: of the noise; clock_offset_s: its clock minus the computer's [s]; overhead_s: time of
-        a frame [s] in addition to its shutter time, None for the profile's.
+        seed: of the noise; clock_offset_s: its clock minus the computer's [s].
         """
         self._world, self._profile, self._clock = world, profile, clock
         self._heading_deg, self._seed = heading_deg, seed
         self._clock_offset_s = clock_offset_s
-        self._overhead_s = profile.bracket.seconds_per_frame if overhead_s is None else overhead_s
         body, lens = profile.camera, profile.lens[0].name
         self._shape, self._is_jpeg = (body.height_px, body.width_px), body.kind == "jpeg"
         about = ("sim", body.make, body.model, f"SIM{seed:04d}")
@@ -186,9 +183,9 @@ class SimulatedCamera(Camera):
         """Take one frame and return its file, `target` plus a suffix.
 
         heading_deg : view direction, clockwise from true north; None: that of the camera. The clock
-        advances by the overhead plus the shutter time. Raises DeviceError for a setting that the
-        camera does not have, and for a time without a picture in the session's truth/; InputError
-        for a picture there that cannot be read.
+        advances by the profile's seconds_per_frame plus the shutter time. Raises DeviceError for a
+        setting that the camera does not have, and for a time without a picture in the session's
+        truth/; InputError for a picture there that cannot be read.
         """
         dial_s = self._dial_s(exposure)
         set_to = replace(exposure, shutter_s=dial_s)
@@ -212,7 +209,7 @@ class SimulatedCamera(Camera):
         else:
             about |= {"black_dn": sensor.black_dn, "white_dn": sensor.white_dn, "cfa": sensor.cfa}
             write_dng(path, raw_counts(image, self._profile, taken, rng), set_to, **about)
-        self._clock.sleep(self._overhead_s + true_s)
+        self._clock.sleep(self._profile.bracket.seconds_per_frame + true_s)
         return path
 
     def _dial_s(self, exposure: Exposure) -> float:
