@@ -1,17 +1,14 @@
 """Draw a fit: readings, fitted values and residuals, and the residuals over a picture."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Array
+from fieldlum.core.arrays import Array, UInts8
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.files import read_bytes
 from fieldlum.core.plot_style import BLUE, INK, RED, new_figure, open_axes
@@ -19,9 +16,6 @@ from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import equirect_pixel
 from fieldlum.optics.raw import MAX_CAMERA_PIXELS, jpeg_size, read_mosaic
 from fieldlum.session import replacing_path
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class Place(NamedTuple):
@@ -66,7 +60,7 @@ def draw(chart: Chart, path: Path) -> None:
     if has_curves:
         _draw_curves(chart, *axes[:2])
     if has_places:
-        _draw_places(chart, figure, axes[-1])
+        _draw_places(chart, axes[-1])
     with replacing_path(path) as temporary:
         figure.savefig(temporary, dpi=110)
 
@@ -88,7 +82,7 @@ def _draw_curves(chart: Chart, left: Any, right: Any) -> None:
         open_axes(axes)
 
 
-def _draw_places(chart: Chart, figure: Figure, axes: Any) -> None:
+def _draw_places(chart: Chart, axes: Any) -> None:
     """Draw the picture with most of the places, and on it their residuals.
 
     Places of other frames are drawn too, because all frames show one sensor; those of other
@@ -119,10 +113,10 @@ def _draw_places(chart: Chart, figure: Figure, axes: Any) -> None:
     axes.set_title(path.name, fontsize=8, color=INK)
     axes.set_axis_off()
     if percent.any():
-        figure.colorbar(marks, ax=axes, shrink=0.8, label="off [%]")
+        axes.figure.colorbar(marks, ax=axes, shrink=0.8, label="off [%]")
 
 
-def grey_picture(path: Path) -> NDArray[np.uint8]:
+def grey_picture(path: Path) -> UInts8:
     """Read a raw, JPEG, PNG or TIFF file as grey codes 0 to 255 at sensor size, [h, w].
 
     A raw frame is stretched to its own brightness, so that its codes have no absolute meaning.

@@ -14,10 +14,9 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum.core import strict_csv
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Floats32, Integers, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure, Flag, Panorama
 from fieldlum.core.statistics import held_out_masks, is_no_worse, robust_sigma, standard_error
@@ -79,7 +78,7 @@ def choose(
 def fit_and_choose(
     what: str,
     models: Sequence[tuple[str, int, Model]],
-    groups: NDArray[np.integer],
+    groups: Integers,
     solve: Callable[[Model, Mask], Parameters],
     errors: Callable[[Model, Parameters, Mask], Floats],
     *,
@@ -105,7 +104,7 @@ def fit_and_choose(
     return chosen, solve(chosen, np.ones(len(groups), bool)), choice
 
 
-def folds(groups: NDArray[np.integer]) -> Iterator[Mask]:
+def folds(groups: Integers) -> Iterator[Mask]:
     """Yield a mask [n] for each fit of a cross-validation, True for the data to hold out.
 
     groups [n]: number of each datum's group, see `held_out_masks`. With up to 24 groups each is

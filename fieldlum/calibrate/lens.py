@@ -7,14 +7,13 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from fieldlum.calibrate import fit_steps
 from fieldlum.calibrate.fit_charts import Chart, Place, grey_picture
-from fieldlum.core.arrays import Array, Mask
+from fieldlum.core.arrays import Array, Mask, UInts8
 from fieldlum.core.errors import InputError
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.optics.profiles import Lens
@@ -360,7 +359,7 @@ class Circle(NamedTuple):
 
 
 def circle(
-    picture: NDArray[np.uint8], lens: Lens, source: Path | str = "circle", *, guessed: bool = False
+    picture: UInts8, lens: Lens, source: Path | str = "circle", *, guessed: bool = False
 ) -> Circle:
     """Find the lens's image circle in a picture [h, w] of 8-bit grey of an evenly lit field.
 
@@ -401,7 +400,7 @@ def circle(
     return Circle((x, y), radius, float(np.hypot(robust_sigma(off, 0.0), 1.0)), edge)
 
 
-def _bright_area(picture: NDArray[np.uint8]) -> Array:
+def _bright_area(picture: UInts8) -> Array:
     """Return centre x, y and radius [px] of a disc as large as a picture's bright area, [3].
 
     An area is bright if its linear light is above the middle between dark and bright.
@@ -412,7 +411,7 @@ def _bright_area(picture: NDArray[np.uint8]) -> Array:
     return np.array([columns.mean() + 0.5, rows.mean() + 0.5, np.sqrt(len(rows) / np.pi)])
 
 
-def _edge_points(picture: NDArray[np.uint8], around: Array, reach: float) -> tuple[Array, int]:
+def _edge_points(picture: UInts8, around: Array, reach: float) -> tuple[Array, int]:
     """Return points x, y [2, n] on the edge of a circle, and the number of rays that reach it.
 
     around: x, y and radius of the circle [px]. The edge is searched within `reach`, a share of the

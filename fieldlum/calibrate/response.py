@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum.calibrate.fit_charts import Chart
 from fieldlum.calibrate.fit_steps import OrderSelection, fit_and_choose, require
-from fieldlum.core.arrays import Floats, Indices, Mask
+from fieldlum.core.arrays import Floats, Indices, Mask, UInts8
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.core.statistics import median_standard_error, robust_sigma
@@ -76,7 +75,7 @@ class Steps(NamedTuple):
         return "; ".join(text for text, applies in texts.items() if applies)
 
 
-def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: Indices) -> Steps:
+def steps_by_overlap(codes: UInts8, log_exposure: Floats, bracket: Indices) -> Steps:
     """Correct the exposures of brackets by the overlap of the frames, starting from the labels.
 
     codes [places, exposures, 3]: 0 for an exposure that a place's bracket lacks; log_exposure
@@ -103,7 +102,7 @@ def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: In
     return Steps(log_e, significant, balance)
 
 
-def _log_light(codes: NDArray[np.uint8], log_e: Floats) -> Floats:
+def _log_light(codes: UInts8, log_e: Floats) -> Floats:
     """Return ln of light over exposure, [places, exposures, 3]; NaN for codes that do not count.
 
     A response is fitted to the codes [places, exposures, 3] of each colour first. log_e
@@ -175,7 +174,7 @@ class Places(NamedTuple):
     brackets.
     """
 
-    codes: NDArray[np.uint8]
+    codes: UInts8
     log_exposure: Floats
     bracket: Indices
     law: ShutterLaw
@@ -244,7 +243,7 @@ def sample(
 
 def _flat_places(
     paths: Sequence[Path], profile: CameraProfile, rng: np.random.Generator
-) -> tuple[NDArray[np.uint8], list[Exposure]]:
+) -> tuple[UInts8, list[Exposure]]:
     """Return the codes of places without an edge [places, frames, 3], and the frames' exposures.
 
     A place is a block of 3 x 3 pixels inside the lens circles; its code is the mean. Exposures are
@@ -289,7 +288,7 @@ def _flat_places(
     return codes[:, flat[np.sort(chosen)]].transpose(1, 0, 2), exposures
 
 
-def _is_steady(codes: NDArray[np.uint8], log_exposure: Floats) -> Mask:
+def _is_steady(codes: UInts8, log_exposure: Floats) -> Mask:
     """Return a mask [places], True for places whose light is the same in all frames.
 
     Flickering lamps and moving leaves are not steady: their light scatters in a colour over
@@ -303,7 +302,7 @@ def _is_steady(codes: NDArray[np.uint8], log_exposure: Floats) -> Mask:
     return steady
 
 
-def _noise_spread(spread: NDArray[np.uint8], level: NDArray[np.uint8]) -> Floats:
+def _noise_spread(spread: UInts8, level: UInts8) -> Floats:
     """Return the largest spread of 3 x 3 codes that noise explains, for each mean code, [256].
 
     spread, level: highest minus lowest, and mean code of the blocks [frames, places]. A code has
@@ -337,9 +336,7 @@ def _spread_indices(level: Floats, count: int) -> Indices:
 # fit
 
 
-def place_variances(
-    table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int = LOW
-) -> Floats:
+def place_variances(table: Floats, codes: UInts8, log_e: Floats, low: int = LOW) -> Floats:
     """Return the variance of ln(z / exposure) over the frames of each place, [places].
 
     With the right table it contains only noise, because the light of a place is the same in all
@@ -353,7 +350,7 @@ def place_variances(
     return np.divide(np.nansum(off**2, axis=1), freedom, out=none, where=freedom > 0)
 
 
-def _off_mean(table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int) -> Floats:
+def _off_mean(table: Floats, codes: UInts8, log_e: Floats, low: int) -> Floats:
     """Return ln(z / exposure) of each frame minus its mean over the frames, [places, frames].
 
     It is NaN for codes that are not from `low` to 228. table [256]: linear light z of each code;

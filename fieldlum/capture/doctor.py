@@ -382,11 +382,9 @@ def judge_pyranometer(
     for name, value in measured.items():
         low_wm2, (high_wm2,) = possible[name]
         if not low_wm2 <= value <= high_wm2:
-            text = (
-                f"{name} {value:.0f} W/m2 with the sun at {altitude_deg[0]:.0f} deg is impossible "
-            )
-            text += f"(limits {low_wm2:g} to {high_wm2:.0f} W/m2): check mounting, wiring and time"
-            yield fail(what, text)
+            found = f"{name} {value:.0f} W/m2 with the sun at {altitude_deg[0]:.0f} deg"
+            limits = f"limits {low_wm2:g} to {high_wm2:.0f} W/m2"
+            yield fail(what, f"{found} is impossible ({limits}): check mounting, wiring and time")
     if status := sample.status or info.status:
         yield warn(what, f"the instrument reports a fault: {status}: see its manual")
     if info.gives == ("ghi",):

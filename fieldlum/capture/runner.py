@@ -20,17 +20,10 @@ from fieldlum.core.errors import DeviceError, InputError, NotEnoughDataError
 from fieldlum.core.records import Slot, parse_utc
 from fieldlum.devices import Camera, Device, IlluminanceMeter, Pyranometer
 from fieldlum.devices.clock import Clock, FastClock
-from fieldlum.session import DEFAULT_GRACE_S, Session, disk_is_full, sole_user
+from fieldlum.session import DEFAULT_GRACE_S, Session, disk_is_full, slot_states, sole_user
 from fieldlum.session.files.capture_json import Frame
 from fieldlum.session.folder import DevicesTable, store_grace, update_session
 from fieldlum.session.plan_file import read_plan
-from fieldlum.session.slot_states import (
-    SETTLED,
-    SlotState,
-    SlotStates,
-    read_slot_states,
-    slots_to_do,
-)
 from fieldlum.sky.sun import standard_date
 from fieldlum.version import __version__
 
@@ -106,8 +99,8 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     grace_s = session.grace.total_seconds()
     if not fast:
         return Clock(), Options(grace_s=grace_s, boot=boot_id())
-    states = read_slot_states(session)
-    slots = slots_to_do(session.slots(), states)
+    states = slot_states.read_slot_states(session)
+    slots = slot_states.slots_to_do(session.slots(), states)
     first = slots[0].t_utc - timedelta(seconds=60) if slots else datetime.now(UTC)
     # 20 s: four rows of irradiance before a slot. A simulated device that does not answer computes.
     options = Options(grace_s, log_around_s=20.0, threaded=False, watchdog_s=3600.0, flush=False)
@@ -129,7 +122,7 @@ def run(
     open_cam: Callable[[], Camera] | None = None,
     open_pyr: Callable[[], Pyranometer] | None = None,
     open_met: Callable[[], IlluminanceMeter] | None = None,
-) -> SlotStates:
+) -> slot_states.SlotStates:
     """Take the bracket of each slot until every slot has an outcome; return the slots' states.
 
     camera_uri, pyranometer_uri, meter_uri: addresses such as gphoto: or serial:/dev/ttyUSB0; the
@@ -161,7 +154,7 @@ def run(
         with closing(runner):
             runner.open(uris)
             runner.work()
-    return read_slot_states(session)
+    return slot_states.read_slot_states(session)
 
 
 def refuse_early_clock(now_utc: datetime, last_utc: datetime) -> None:
@@ -174,7 +167,7 @@ def refuse_early_clock(now_utc: datetime, last_utc: datetime) -> None:
 
 
 def refuse_past_plan(
-    slots: Sequence[Slot], before: SlotStates, now_utc: datetime, grace: timedelta
+    slots: Sequence[Slot], before: slot_states.SlotStates, now_utc: datetime, grace: timedelta
 ) -> None:
     """Raise NotEnoughDataError if every slot is past and the journal has no event of a slot.
 
@@ -189,7 +182,7 @@ def refuse_past_plan(
 
 
 def refuse_unavailable_exposures(
-    camera: Camera, slots: Sequence[Slot], states: Mapping[str, SlotState]
+    camera: Camera, slots: Sequence[Slot], states: Mapping[str, slot_states.SlotState]
 ) -> None:
     """Raise DeviceError if the camera cannot be set to some planned exposures.
 
@@ -232,7 +225,7 @@ class _Runner:
         # before the plan is read, so that no change is missed
         self._plan_stamp_ns = self._plan_time_ns()
         self.slots = session.slots()
-        self.states = before = read_slot_states(session)
+        self.states = before = slot_states.read_slot_states(session)
         if before.last_utc is not None:
             if before.last_open is not None:
                 clock.continue_from(parse_utc(before.last_open["t_utc"]), before.last_open)
@@ -318,7 +311,7 @@ class _Runner:
         self._state = "finished"
         self._show()
 
-    def _bracket(self, slot: Slot, state: SlotState) -> BracketCapture:
+    def _bracket(self, slot: Slot, state: slot_states.SlotState) -> BracketCapture:
         """Return what takes the missing frames of a slot; state: of the slot, by the journal."""
         return BracketCapture(
             session=self.session,
@@ -344,7 +337,7 @@ class _Runner:
                 # A new plan removes no slot; if one is missing, the file is damaged.
                 if {slot.id for slot in self.slots} <= {slot.id for slot in slots}:
                     self.slots = slots
-        return next(iter(slots_to_do(self.slots, self.states)), None)
+        return next(iter(slot_states.slots_to_do(self.slots, self.states)), None)
 
     def _plan_time_ns(self) -> int:
         """Return when plan.csv was last changed; the last known time if it cannot be read now."""
@@ -353,7 +346,7 @@ class _Runner:
         except OSError:
             return self._plan_stamp_ns
 
-    def _take(self, bracket: BracketCapture, late_s: float) -> SlotState:
+    def _take(self, bracket: BracketCapture, late_s: float) -> slot_states.SlotState:
         """Take a bracket and return its slot's final state; any failure affects this slot only.
 
         One more row is logged after it, so that rows surround the bracket. late_s: time since the
@@ -367,7 +360,8 @@ class _Runner:
             state = bracket.take()
         except Exception as error:
             with suppress(OSError):
-                bracket.state = read_slot_states(self.session).slots.get(slot.id, bracket.state)
+                states = slot_states.read_slot_states(self.session)
+                bracket.state = states.slots.get(slot.id, bracket.state)
             state = bracket.abort(error_text(error))
         if self.logger is not None and not self.options.threaded:
             self.clock.sleep(self.logger.due_in_s)
@@ -377,14 +371,14 @@ class _Runner:
             self.bytes_per_slot = self.session.slot_bytes()
         return state
 
-    def _too_late(self, bracket: BracketCapture, late_s: float) -> SlotState:
+    def _too_late(self, bracket: BracketCapture, late_s: float) -> slot_states.SlotState:
         """Journal a slot as missed, or as aborted if its bracket was started; return its state."""
         slot = bracket.slot.id
         if bracket.state.outcome == "started":
             why = "interrupted, and not finished within the slot's window"
             return bracket.abort(f"{why} (now {late_s:.0f} s late)")
         self.recorder.write_event("missed", slot=slot, why=f"late by {late_s:.0f} s")
-        return SlotState("missed", why="late")
+        return slot_states.SlotState("missed", why="late")
 
     def _wait_until(self, t_utc: datetime) -> bool:
         """Wait until a time; return False if the plan changed before that time."""
@@ -435,7 +429,7 @@ class _Runner:
         """Return the state of the capture. Raises OSError if the disk is away."""
         now, upcoming = self.clock.now(), self._next
         outcomes = Counter(state.outcome for state in self.states.slots.values())
-        counts = {name: outcomes[name] for name in SETTLED}
+        counts = {name: outcomes[name] for name in slot_states.SETTLED}
         sample = self.logger.last if self.logger else None
         free_bytes = disk_usage(self.session.root).free
         zone = self.setup.site.timezone

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import click
 
 from fieldlum.cli.command_parameters import FILE_PATH
-from fieldlum.cli.options import Azimuths, command_of, new_file
+from fieldlum.cli.options import Azimuths, command_of, new_files
 from fieldlum.cli.terminal import notes, print_answer, say, table_lines
 from fieldlum.core.records import JsonTable
 
@@ -62,8 +62,7 @@ def command(
         raise click.UsageError(
             "--budget is of a picture as stored: no --view, --part, --calibrate-ev"
         )
-    for path in (csv_path, budget_path):
-        new_file(path, force)
+    new_files(csv_path, budget_path, force=force)
     from fieldlum.core.errors import InputError, NotEnoughDataError
     from fieldlum.session import open_session
     from fieldlum.session.codec import write_csv

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from fieldlum.cli.options import command_of, new_file, picture_height
+from fieldlum.cli.options import command_of, new_files, picture_height
 from fieldlum.cli.terminal import notes, print_answer, progress, say, table_lines
 from fieldlum.core.errors import InputError
 
@@ -59,7 +59,7 @@ def command(
         raise click.UsageError("name a SESSION, or --frames FILE... --camera PROFILE --out OUT")
     if frames:
         assert camera and out is not None
-        new_file(out, force)
+        new_files(out, force=force)
         height_px = picture_height(size, ratio=2 if projection == "equirect" else 1)
         options = merge.MergeOptions(height_px, projection, fit)
         files, profile = frame_files(source, *more), load_camera_profile(camera)

@@ -143,16 +143,17 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
     return tuple(stored.get(name, "") if uri is None else uri for name, uri in uris.items())
 
 
-def new_file(path: Path | None, force: bool) -> None:
+def new_files(*paths: Path | None, force: bool) -> None:
     """Raise InputError if a file to write exists already, unless `force`.
 
-    path: the file; None: there is no file to write.
+    paths: the files; None: there is no such file to write.
     """
     from fieldlum.core.errors import InputError
 
-    if path is not None and path.exists() and not force:
-        remedy = "choose another name, or replace it by --force"
-        raise InputError(path, "the file exists already", "a new file", remedy)
+    for path in paths:
+        if path is not None and path.exists() and not force:
+            remedy = "choose another name, or replace it by --force"
+            raise InputError(path, "the file exists already", "a new file", remedy)
 
 
 # Width by height of maps as in Liu, Colburn and Inanici 2020, and of a fisheye: evalglare's usual

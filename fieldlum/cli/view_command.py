@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import click
 
 from fieldlum.cli.command_parameters import FILE_PATH
-from fieldlum.cli.options import command_of, new_file
+from fieldlum.cli.options import command_of, new_files
 from fieldlum.cli.terminal import notes, say, table_lines, tell
 
 
@@ -48,8 +48,7 @@ def command(
 
     if csv_path is not None and not regions:
         raise click.UsageError("--csv has the statistics of regions: name one with --region")
-    for path in (out, csv_path):
-        new_file(path, force)
+    new_files(out, csv_path, force=force)
     files = tuple(map(_latest_panorama, files))
     out = out or files[0].with_name(f"{files[0].stem}-view.html")
     if out.suffix.lower() not in (".png", ".html"):

@@ -6,8 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
+Floats16 = NDArray[np.float16]
 Floats32 = NDArray[np.float32]
 Floats = NDArray[np.floating]
+UInts8 = NDArray[np.uint8]
+UInts16 = NDArray[np.uint16]
+Ints8 = NDArray[np.int8]
+Ints32 = NDArray[np.int32]
+Ints64 = NDArray[np.int64]
+Integers = NDArray[np.integer]
+Dates = NDArray[np.datetime64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 

@@ -4,9 +4,8 @@ from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Floats, Floats32, UInts8
 
 COLOUR_MAP = "inferno"  # perceptually uniform, and readable without red and green
 # Ends of the scale of pictures that are compared between hours and rooms. Chosen.
@@ -15,7 +14,7 @@ UNSEEN_RGB = (120, 120, 120)  # of pixels without a value; grey is no colour of 
 
 
 @lru_cache(maxsize=1)
-def colour_table() -> NDArray[np.uint8]:
+def colour_table() -> UInts8:
     """Return the RGB colours (0 to 255) of the scale from its low to its high end, [256, 3].
 
     All callers share the array, so it must not be changed.
@@ -27,7 +26,7 @@ def colour_table() -> NDArray[np.uint8]:
 
 def coloured(
     luminance_cdm2: Floats | Floats32, low: float = RANGE_CDM2[0], high: float = RANGE_CDM2[1]
-) -> NDArray[np.uint8]:
+) -> UInts8:
     """Return false colours of luminances [...] as RGB [..., 3], 0 to 255.
 
     low, high: ends of the logarithmic scale [cd/m2], 0 < low < high. Values outside the scale get
@@ -40,7 +39,7 @@ def coloured(
     return rgb
 
 
-def png_of(rgb: NDArray[np.uint8]) -> bytes:
+def png_of(rgb: UInts8) -> bytes:
     """Return the content of a PNG file of an RGB image [H, W, 3], 0 to 255.
 
     Raises ValueError if it cannot be encoded.

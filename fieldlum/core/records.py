@@ -9,9 +9,8 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Floats32, Integers, Mask
 from fieldlum.core.strict_toml import Positive
 
 # Largest picture that is read, unless a camera's profile states more: 0.5 GB of JPEG codes, 1.9 GB
@@ -364,7 +363,7 @@ class Panorama:
     luminance_cdm2: Floats
     heading_deg: float
     u_cdm2: Floats | None = None
-    flags: NDArray[np.integer] | None = None
+    flags: Integers | None = None
     t_utc: datetime | None = None
     sun: SunSource | None = None
     # Radiance's units, W/sr/m2; its luminous efficacy is 179 lm/W

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fieldlum.core.arrays import Integers
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, JsonTable, Panorama
 from fieldlum.merge.project import blend, finished_map, view_through
@@ -68,7 +68,7 @@ def floating_white_balance(shots: Sequence[Shot], profile: CameraProfile) -> str
 
 
 def report_of(
-    parts: Sequence[Findings], flags: NDArray[np.integer], target: Target, profile: CameraProfile
+    parts: Sequence[Findings], flags: Integers, target: Target, profile: CameraProfile
 ) -> MergeReport:
     """Return the figures of one merged bracket.
 
@@ -100,7 +100,7 @@ def report_of(
     )
 
 
-def _shares_percent(flags: NDArray[np.integer], target: Target) -> dict[str, Any]:
+def _shares_percent(flags: Integers, target: Target) -> dict[str, Any]:
     """Return the figures of a report that are shares of the view, in % of solid angle, by name.
 
     outside_percent is the share of the grid that no lens sees; the others are the shares of what a

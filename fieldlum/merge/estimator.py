@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats32, Mask
+from fieldlum.core.arrays import Floats32, Mask, UInts8
 from fieldlum.core.records import Flag
 from fieldlum.merge.linear_frames import Signal
 
@@ -56,7 +55,7 @@ class Merged(NamedTuple):
 
     value_cdm2: Floats32
     variance: Floats32
-    flags: NDArray[np.uint8]
+    flags: UInts8
 
 
 def merge_signals(

@@ -12,9 +12,8 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
+from fieldlum.core.arrays import Array, Floats, Floats32, Mask, UInts8, UInts16, evenly_spread
 from fieldlum.core.errors import InputError
 from fieldlum.core.progress import progress
 from fieldlum.merge.shift import ReducedFrame, reduce_frame
@@ -111,7 +110,7 @@ class RawSignal:
     scale_dn: full scale above black.
     """
 
-    counts: NDArray[np.uint16]
+    counts: UInts16
     black: Floats32
     saturation: Floats32
     per_cdm2: Floats32
@@ -281,7 +280,7 @@ class JpegSignal:
     3]; a scalar or [3] also works, but is slower.
     """
 
-    codes: NDArray[np.uint8]
+    codes: UInts8
     z_of_code: Floats32
     per_cdm2: Floats32
     low_code: int

@@ -7,10 +7,9 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, UInts8
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Flag, Panorama
 from fieldlum.merge.sensor_frames import SensorImage
 from fieldlum.optics import melanopic
@@ -217,7 +216,7 @@ class ProjectedImage:
     coverage: Floats
     u_vignetting: Floats
     u_ratio: Floats
-    flags: NDArray[np.uint8]
+    flags: UInts8
     rgb: Floats
     u_stray: Floats
 
@@ -237,9 +236,7 @@ class LensView(ProjectedImage):
     stray: Floats | None = None
 
 
-def _project(
-    sensor: SensorImage, resampling: Resampler
-) -> tuple[Floats, Floats, NDArray[np.uint8]]:
+def _project(sensor: SensorImage, resampling: Resampler) -> tuple[Floats, Floats, UInts8]:
     """Return camera RGB [n, 3], its random variance [n, 3] and the flags [n] of one lens.
 
     resampling: of the lens, with a matrix for each colour of a mosaic, or one with the name "" for
@@ -275,7 +272,7 @@ def _project(
     return np.hstack(rgb).astype(np.float64), np.hstack(rgb_variance).astype(np.float64), flags
 
 
-def _row_sums(data: Floats32, row: Indices, chosen: NDArray[Any], rows: int) -> Floats:
+def _row_sums(data: Floats32, row: Indices, chosen: Array, rows: int) -> Floats:
     """Return the sum of the chosen entries in each row of a sparse matrix, [rows].
 
     data, row, chosen [entries]: value, row number and choice of each entry; rows: their number.

@@ -6,10 +6,9 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask, UInts8
 from fieldlum.core.records import Flag
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import FramePixels, Merged, merge_signals
@@ -115,7 +114,7 @@ def _steps(
 # pixels to ignore
 
 
-def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) -> Mask | None:
+def good_pixels(profile: CameraProfile, crop: Crop, flags: UInts8) -> Mask | None:
     """Return a mask [height, width] of the crop that is False at pixels to ignore.
 
     These are the profile's bad pixels and, for a raw camera, those of `isolated_pixels`. Return
@@ -133,7 +132,7 @@ def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) ->
     return good
 
 
-def isolated_pixels(flags: NDArray[np.uint8]) -> Indices:
+def isolated_pixels(flags: UInts8) -> Indices:
     """Return row and column [n, 2] of isolated mosaic pixels at which the frames disagree.
 
     flags: [h, w] of the mosaic. At such a pixel the frames disagree (it has the flag MOTION), but

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike, NDArray
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, UInts8
 
 T = TypeVar("T", bound=np.floating)
 
@@ -102,7 +102,7 @@ def monotone(z: Floats) -> Floats:
 _LOWEST, _HIGHEST = 3, 252
 
 
-def dark_floor(codes: NDArray[np.uint8], log_exposure: Floats) -> int:
+def dark_floor(codes: UInts8, log_exposure: Floats) -> int:
     """Return the lowest code that follows the light, 3 to 63; lower codes are black level or haze.
 
     codes: [places, frames], one scene point a row, 0 where a frame has no code; log_exposure:
@@ -128,7 +128,7 @@ def dark_floor(codes: NDArray[np.uint8], log_exposure: Floats) -> int:
 
 
 def fit_response(
-    codes: NDArray[np.uint8], log_exposure: Floats, *, smooth: float = 30.0, low: int | None = None
+    codes: UInts8, log_exposure: Floats, *, smooth: float = 30.0, low: int | None = None
 ) -> tuple[Floats, float]:
     """Fit a monotone response to codes of the same places in all frames, with known exposures.
 

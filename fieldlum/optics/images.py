@@ -6,8 +6,6 @@ scanlines. It runs as a separate process, so that a damaged file cannot crash th
 the pixels behind a plain header: exposure, primaries and orientation are applied here.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import io
@@ -27,9 +25,8 @@ from tempfile import TemporaryFile
 from typing import Any, BinaryIO, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Floats, Floats32, UInts8
 from fieldlum.core.errors import InputError, input_errors, kind_of, library_messages
 from fieldlum.core.files import open_to_read, replacing_path
 from fieldlum.core.records import MAX_PIXELS, Flag, Panorama, SunSource, parse_utc, utc_text
@@ -316,7 +313,7 @@ def _heading(line: str, path: Path) -> float:
 # writing
 
 
-def encode_rgbe(rgb: Floats) -> NDArray[np.uint8]:
+def encode_rgbe(rgb: Floats) -> UInts8:
     """Encode RGB with a shared exponent (RGBE): floats [H, W, 3] become bytes [H, W, 4].
 
     rgb: radiance in W/sr/m2; NaN and negative values become 0, infinite ones 1e30. Mantissas are

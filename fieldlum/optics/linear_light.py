@@ -10,9 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, Integers
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Exposure
 from fieldlum.optics.camera_curves import check_vignetting, response_table
@@ -51,7 +50,7 @@ def black_dn(mosaic: Mosaic, profile: CameraProfile) -> Sequence[float]:
     return own if any(own) else mosaic.black_dn
 
 
-def saturation_plateau(counts: NDArray[np.integer], white_dn: float) -> float | None:
+def saturation_plateau(counts: Integers, white_dn: float) -> float | None:
     """Return the count at which a sensor saturates [DN]; None if these counts do not show it.
 
     counts: raw counts of any shape; white_dn: the white level in the file, below which many sensors

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Indices, Mask
+from fieldlum.core.arrays import Floats, Indices, Ints64, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Site, Slot
 from fieldlum.sky import sun
@@ -221,7 +220,7 @@ def near_planned(directions: Floats, hours: DaylightHours) -> Mask:
 # irradiance
 
 
-def _sky_cells(dni_wm2: Floats, dhi_wm2: Floats) -> NDArray[np.int64]:
+def _sky_cells(dni_wm2: Floats, dhi_wm2: Floats) -> Ints64:
     """Return the number of the cell of `CELL_WM2` in which each sky's irradiance is, [n].
 
     dni_wm2, dhi_wm2: direct and diffuse irradiance [n]; NaN counts as 0.

@@ -13,9 +13,9 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Array, Floats
+from fieldlum.core.arrays import Array, Floats, Indices
 
 SOLAR_CONSTANT_WM2 = 1367.0  # gendaylit's value
 WATER_CM = 2.0  # precipitable water, gendaylit's default
@@ -84,7 +84,7 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
     return out
 
 
-def reinhart_index(directions: Array) -> NDArray[np.intp]:
+def reinhart_index(directions: Array) -> Indices:
     """Return the index of the patch of `reinhart_patches()` that contains each direction, [n].
 
     directions: unit vectors [n, 3], x east, y north, z up; those below the horizon count as on it.

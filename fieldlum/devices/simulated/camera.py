@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Floats, Floats32, UInts8, UInts16
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Panorama
 from fieldlum.devices import Camera, CameraInfo, nearest
@@ -88,7 +87,7 @@ def _mosaic_of_values(cfa: str, values: tuple[float, ...], shape: tuple[int, int
 
 def raw_counts(
     mosaic_cdm2: Floats32, profile: CameraProfile, exposure: Exposure, rng: np.random.Generator
-) -> NDArray[np.uint16]:
+) -> UInts16:
     """Return the raw counts [h, w] of one frame, with shot noise and read noise, clipped.
 
     mosaic_cdm2 : value of each pixel's channel after vignetting [cd/m2], [h, w]; exposure : with
@@ -122,7 +121,7 @@ def raw_counts(
 
 def jpeg_codes(
     image_cdm2: Floats32, profile: CameraProfile, exposure: Exposure, rng: np.random.Generator
-) -> NDArray[np.uint8]:
+) -> UInts8:
     """Return the 8-bit codes (R, G, B) of one frame, with noise, [h, w, 3].
 
     image_cdm2 : camera channels after vignetting [cd/m2], [h, w, 3]; exposure : with the true

@@ -4,11 +4,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.sparse import csr_array, vstack
 
-from fieldlum.core.arrays import Floats, Floats32, Indices
+from fieldlum.core.arrays import Floats, Floats32, Indices, Ints32
 from fieldlum.core.records import Panorama, SunSource
 from fieldlum.devices.simulated.world import detail_of
 from fieldlum.optics import projection
@@ -70,9 +69,7 @@ def lens_sampling(
     return LensSampling(lens, np.concatenate(pixels), csr_array(vstack(blocks)))
 
 
-def _source_pixels(
-    rays: Floats, panorama: tuple[int, int], grid: SkyGrid | None
-) -> NDArray[np.int32]:
+def _source_pixels(rays: Floats, panorama: tuple[int, int], grid: SkyGrid | None) -> Ints32:
     """Return the index of the pixel that each ray meets, [n].
 
     It is a flat index of the panorama; within the finer picture a flat index of that, plus the
@@ -88,7 +85,7 @@ def _source_pixels(
     return np.where(is_inside, fine, coarse).astype(np.int32)
 
 
-def _panorama_pixels(rays: Floats, panorama: tuple[int, int]) -> NDArray[np.int32]:
+def _panorama_pixels(rays: Floats, panorama: tuple[int, int]) -> Ints32:
     """Return the flat index of the panorama's pixel that each ray meets, [...].
 
     rays: unit vectors in the panorama's own frame (heading 0), [..., 3]; panorama: (height, width).

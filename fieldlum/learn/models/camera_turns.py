@@ -12,12 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 from skimage.measure import block_reduce
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
+from fieldlum.core.arrays import Array, Dates, Floats, Floats16, Floats32, Mask, evenly_spread
 from fieldlum.core.progress import progress
 from fieldlum.core.records import counted, listed
 from fieldlum.learn.models.held_out_choice import weight_of_variance
@@ -347,7 +346,7 @@ def _pieces(values: Array) -> list[tuple[int, int]]:
 def align(
     maps: Floats32,
     has_value: Mask,
-    counts: NDArray[np.float16],
+    counts: Floats16,
     heading_deg: float,
     turns: CameraTurns,
 ) -> None:
@@ -389,7 +388,7 @@ def shown_place(
     return altitude, azimuth % 360.0
 
 
-def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64]) -> list[str]:
+def turn_notes(turns: CameraTurns, days: Dates) -> list[str]:
     """Return sentences for the user: one for each pose that was corrected, one on unused captures.
 
     Captures that cannot be aligned are not used. The list is empty if all captures are aligned and
@@ -413,6 +412,6 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64]) -> list[str]:
     return notes
 
 
-def _captures(rows: Mask, days: NDArray[np.datetime64]) -> str:
+def _captures(rows: Mask, days: Dates) -> str:
     """Return how many captures `rows` selects and their days, as words."""
     return f"{counted(int(rows.sum()), 'capture')} of {listed(np.unique(days[rows]).tolist())}"

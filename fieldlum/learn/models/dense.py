@@ -25,12 +25,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch import distributed as dist
 from torch.nn import functional as F
 
-from fieldlum.core.arrays import Array, Floats, Floats32
+from fieldlum.core.arrays import Array, Floats, Floats32, Ints64
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.learn.models import ModelState, Patch, Prediction, deserialised, serialised
@@ -368,7 +367,7 @@ def pixels_of(data: Dataset, pixels: Inputs, patch: Patch, device: torch.device)
     )
 
 
-def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def validation_split(n: int, seed: int) -> tuple[Ints64, Ints64]:
     """Return the indices from 0 of images for training [k] and for validation [n - k], each sorted.
 
     A tenth of the n images, but at least one, is drawn by `seed` for validation; a single image is

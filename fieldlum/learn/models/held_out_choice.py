@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.statistics import standard_error
@@ -40,7 +39,7 @@ class HeldOutErrors:
     dgp: Floats
     ev: Floats
     log10: Floats
-    day: NDArray
+    day: Array
     weight: Floats
     trim: float = TRIM
 

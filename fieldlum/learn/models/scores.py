@@ -14,9 +14,8 @@ from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
+from fieldlum.core.arrays import Array, Dates, Floats, Floats32, Ints64, Mask, evenly_spread
 from fieldlum.core.progress import progress, quiet, shown_by
 from fieldlum.learn.models import Fitted, Prediction, trusted_hours
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, choice_weights
@@ -66,7 +65,7 @@ class Scores:
     trusted: Mask
     in_band: Floats
     ev_error: Floats
-    day: NDArray[np.datetime64]
+    day: Dates
     weight: Floats
     seconds: Floats
     cpu_s: Floats
@@ -148,7 +147,7 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     return Truth(data, views, with_glare, dgp, rammg, ev, full, choice_weights(data), own_disc)
 
 
-def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+def _chunks(rows: Ints64) -> Iterator[Ints64]:
     """Yield indices of hours in parts of at most 24."""
     for start in range(0, len(rows), 24):  # limits the memory
         yield rows[start : start + 24]

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Mask
+from fieldlum.core.arrays import Array, Dates, Floats, Floats16, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.progress import progress
@@ -66,14 +65,14 @@ class Dataset:
     patch_cdm2: Floats32 | None
     disc_lx: Floats
     heading_deg: float
-    days: NDArray[np.datetime64]
+    days: Dates
     slots: tuple[str, ...]
     setup: SiteFile
     seen: Mask
     steadiness: Floats
     source: str = ""
     notes: tuple[str, ...] = ()
-    counts: NDArray[np.float16] | None = None
+    counts: Floats16 | None = None
     scene: UsedScene | None = None
     sky_view: SkyView | None = None
     disc_deg: Floats | None = None
@@ -574,7 +573,7 @@ def fill_gaps(maps: Floats32, has_value: Mask) -> tuple[Mask, int]:
     return seen_mask, int(gaps.sum())
 
 
-def pixel_counts(panorama: Panorama) -> NDArray[np.float16]:
+def pixel_counts(panorama: Panorama) -> Floats16:
     """Return the weight of each pixel of a panorama in training, 0 to 1, [H, W].
 
     It is 0 where `flags` mark a clipped, moving or filled pixel. Elsewhere it is 1 for a value
@@ -590,7 +589,7 @@ def pixel_counts(panorama: Panorama) -> NDArray[np.float16]:
     return counts.astype(np.float16)
 
 
-def joined_counts(counts: NDArray[np.float16], has_value: Mask) -> NDArray[np.float16] | None:
+def joined_counts(counts: Floats16, has_value: Mask) -> Floats16 | None:
     """Return the weights of the pixels in all captures, [n, H, W]; None if all weights are 1.
 
     counts: result of `pixel_counts` for each capture [n, H, W], which is changed in place;

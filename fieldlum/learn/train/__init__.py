@@ -13,9 +13,8 @@ from time import monotonic, process_time
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import counted, listed
 from fieldlum.core.statistics import held_out_masks
@@ -519,7 +518,7 @@ def is_untrusted(fitted: Fitted, data: Dataset) -> bool:
     return bool(np.median(errors) > POOR_MSE / 4 or trimmed_mean(errors, weight) > POOR_MSE)
 
 
-def _judged_errors(fitted: Fitted, data: Dataset) -> tuple[Floats, Floats, NDArray]:
+def _judged_errors(fitted: Fitted, data: Dataset) -> tuple[Floats, Floats, Array]:
     """Return held-out log10 MSE, weight and date of the training captures with weight, [k] each.
 
     data: the captures with which `fitted` was trained; weight: by `choice_weights`. k is 0 for a

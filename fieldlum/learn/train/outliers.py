@@ -18,13 +18,7 @@ import numpy as np
 from fieldlum.core.arrays import Array, Floats, Indices, Mask, evenly_spread
 from fieldlum.learn.models.held_out_choice import UNSURE, is_badly_measured
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.learn.transport.training_arrays import (
-    MIN_CDM2,
-    TrainingArrays,
-    pixel_scale,
-    seen_sky,
-    training_arrays_of,
-)
+from fieldlum.learn.transport import training_arrays
 from fieldlum.sky import sun
 from fieldlum.sky.light_similarity import LAMP_LX, Kernel
 
@@ -69,16 +63,16 @@ def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> 
     windows show, not Perez's.
     """
     small = data.thin(_HEIGHT)
-    arrays = training_arrays_of(small, with_patch=with_patch)
-    if seen_skies and (sky := seen_sky(arrays)) is not None:
+    arrays = training_arrays.training_arrays_of(small, with_patch=with_patch)
+    if seen_skies and (sky := training_arrays.seen_sky(arrays)) is not None:
         arrays = arrays.under(sky)
-    luminance = np.maximum(arrays.luminance, MIN_CDM2).astype(float)
+    luminance = np.maximum(arrays.luminance, training_arrays.MIN_CDM2).astype(float)
     judged, valid = _compared(small, arrays, luminance)
     pixels = np.flatnonzero(valid.mean(axis=0) > 0.5)
     share = arrays.weights[pixels] / arrays.weights[pixels].sum()
     count = min(_PIXELS, len(pixels))
     pixels = np.sort(np.random.default_rng(0).choice(pixels, count, replace=False, p=share))
-    unit = arrays.light.total_lx[:, None] * pixel_scale(arrays)
+    unit = arrays.light.total_lx[:, None] * training_arrays.pixel_scale(arrays)
     y, valid = (luminance / unit)[:, pixels], valid[:, pixels]
     levels = [np.median(v[ok]) if ok.any() else 1.0 for v, ok in zip(y, valid, strict=True)]
     level = np.array(levels)
@@ -98,7 +92,9 @@ def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> 
     return Process(y, covariance, spread, judged, small.days, hours, lamp)
 
 
-def _compared(data: Dataset, arrays: TrainingArrays, luminance: Floats) -> tuple[Mask, Mask]:
+def _compared(
+    data: Dataset, arrays: training_arrays.TrainingArrays, luminance: Floats
+) -> tuple[Mask, Mask]:
     """Return masks of the captures [n] and of the values [n, P] that can show a change.
 
     Captures need enough light. Window pixels, sun patches and pixels next to them are not compared.

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Indices
+from fieldlum.core.arrays import Floats, Indices, UInts8, UInts16
 from fieldlum.core.errors import InputError, kind_of, library_messages
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import MAX_PIXELS, Cfa
@@ -44,7 +43,7 @@ class Mosaic(FrameInfo):
     converts XYZ to camera RGB; None if neither the file nor LibRaw has it.
     """
 
-    counts: NDArray[np.uint16]
+    counts: UInts16
     cfa: Cfa
     black_dn: tuple[float, ...]
     white_dn: float
@@ -323,7 +322,7 @@ class JpegFrame(FrameInfo):
     codes: values from 0 to 255 [h, w, 3], red first, not turned by the orientation tag.
     """
 
-    codes: NDArray[np.uint8] = field(kw_only=True)
+    codes: UInts8 = field(kw_only=True)
 
 
 def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
@@ -349,7 +348,7 @@ def jpeg_size(path: Path) -> tuple[int, int]:
     return 0, 0
 
 
-def _codes(path: Path, max_pixels: int) -> NDArray[np.uint8]:
+def _codes(path: Path, max_pixels: int) -> UInts8:
     """Return the codes [h, w, 3] of a JPEG's first picture.
 
     Pillow's class for JPEG is used directly: `Image.open` also reads the index of further pictures

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fieldlum.core.arrays import UInts8, UInts16
 from fieldlum.core.records import Exposure
 from fieldlum.optics.raw import channel_positions
 
@@ -51,7 +52,7 @@ def _exif_fields(exposure: Exposure, t_camera: datetime | None) -> dict[int, Any
 
 def write_dng(
     path: Path,
-    counts: NDArray[np.uint16],
+    counts: UInts16,
     exposure: Exposure,
     *,
     black_dn: tuple[float, ...],
@@ -107,7 +108,7 @@ def write_dng(
 
 def write_jpeg(
     path: Path,
-    codes: NDArray[np.uint8],
+    codes: UInts8,
     exposure: Exposure,
     *,
     t_camera: datetime | None = None,

@@ -8,10 +8,9 @@ from enum import IntFlag
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import rank_filter
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import Floats, Integers, Ints64, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import IrradianceSample, Site, counted
@@ -71,7 +70,7 @@ class Series:
     ghi_wm2: Floats
     dhi_wm2: Floats
     dni_wm2: Floats
-    marks: NDArray[np.int64]
+    marks: Ints64
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -216,7 +215,7 @@ def _saturated(ghi: Floats) -> Mask:
     return full & (returns >= 3) & (full.sum() >= 10) & (2 * full.sum() > near)
 
 
-def suspicions(series: Series, altitude: Floats, top: Floats, site: Site) -> NDArray[np.int64]:
+def suspicions(series: Series, altitude: Floats, top: Floats, site: Site) -> Ints64:
     """Return the marks K_INDEX and HORIZON of each row, or 0, [n].
 
     They show impossible ratios of the components and a hidden sun, and leave the values as they
@@ -263,7 +262,7 @@ def spikes(t_unix_s: Floats, value: Floats) -> Mask:
 # global alone
 
 
-def minute_means(t_unix_s: Floats, value: Floats) -> tuple[Floats, Floats, NDArray[np.integer]]:
+def minute_means(t_unix_s: Floats, value: Floats) -> tuple[Floats, Floats, Integers]:
     """Return means of `value` over UTC minutes, and which minute each row is in.
 
     t_unix_s, value: [n], ascending times. The result is the minutes' centres [m] (unix s), their

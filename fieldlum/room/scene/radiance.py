@@ -8,9 +8,8 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Floats, Floats32, Ints32
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress
@@ -200,7 +199,7 @@ def traced_sky_share(room: Room, rays: Floats) -> Floats:
         return np.asarray(trace(lit, _viewpoint(room), rays), float)
 
 
-def _pixel_mean(pixel: NDArray[np.int32], values: Floats, height: int) -> Floats32:
+def _pixel_mean(pixel: Ints32, values: Floats, height: int) -> Floats32:
     """Return the mean of each pixel's rays, 0 for pixels without a ray, [H, W].
 
     pixel [m], values [m]: flat index and value of each ray; height: rows H of the panorama.

@@ -13,9 +13,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32, Indices
+from fieldlum.core.arrays import Floats, Floats32, Indices, Ints8, Ints32, Ints64
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Panorama, Room, SiteFile, SunSource
 from fieldlum.optics import images, melanopic
@@ -103,12 +102,12 @@ class Pieces:
     size: Floats
     counts: Indices
     first: Indices
-    axis: NDArray[np.int8]
-    sign: NDArray[np.int8]
+    axis: Ints8
+    sign: Ints8
     reflectance: Floats
     middle: Floats
     position: Floats
-    piece: NDArray[np.int32]
+    piece: Ints32
     share: Floats
 
     def __len__(self) -> int:
@@ -185,7 +184,7 @@ def _piece_counts(scene: BoxScene, middle: Floats, size: Floats, piece_m: float)
 
 def _open_points(
     scene: BoxScene, place: Floats, axis: Indices, sign: Indices, at_m: Floats
-) -> tuple[Floats, NDArray[np.int32]]:
+) -> tuple[Floats, Ints32]:
     """Return the points of p pieces that no box covers, [q, 3] m, and the piece of each, [q].
 
     place: of s points in each piece along the two axes of its face [p, s, 2] m; axis, sign: of the
@@ -263,7 +262,7 @@ def _form_factors(
     return vstack(parts, format="csr") if parts else csr_matrix((0, columns), dtype=np.float32)
 
 
-def joined(s: SurfaceSamples) -> tuple[SurfaceSamples, NDArray[np.int64]]:
+def joined(s: SurfaceSamples) -> tuple[SurfaceSamples, Ints64]:
     """Return k samples, one for each face in each pixel, and a number for the face of each, [k].
 
     s: m samples. Of those on one face in a pixel the middle one remains, with the sum of their
@@ -281,8 +280,8 @@ def joined(s: SurfaceSamples) -> tuple[SurfaceSamples, NDArray[np.int64]]:
 
 
 def near_light(
-    places: tuple[Floats, NDArray[np.int64]],
-    points: tuple[Floats, NDArray[np.int64]],
+    places: tuple[Floats, Ints64],
+    points: tuple[Floats, Ints64],
     count: int,
     reach_m: Floats,
 ) -> Any:
@@ -346,7 +345,7 @@ class LitRoom:
     view: SceneView
     pieces: Pieces
     samples: SurfaceSamples
-    faces: NDArray[np.int64]
+    faces: Ints64
     point_coefficients: Any
     smooth: Any
     to_pixels: Any

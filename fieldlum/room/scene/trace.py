@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Integers, Ints8, Ints32, Mask
 from fieldlum.core.compiled import compiled
 from fieldlum.room.scene.box_room import Box, BoxScene, glass_optics, upright
 
@@ -33,9 +32,9 @@ class BoxHits(NamedTuple):
     """
 
     distance: Floats
-    box: NDArray[np.int32]
-    axis: NDArray[np.int8]
-    sign: NDArray[np.int8]
+    box: Ints32
+    axis: Ints8
+    sign: Ints8
 
 
 @compiled
@@ -81,9 +80,9 @@ class Ends(NamedTuple):
     row: Indices
     toward: Floats
     position: Floats
-    box: NDArray[np.int32]
-    axis: NDArray[np.int8]
-    sign: NDArray[np.int8]
+    box: Ints32
+    axis: Ints8
+    sign: Ints8
     weight: Floats
 
 
@@ -109,7 +108,7 @@ def ray_ends(scene: BoxScene, origins: Floats, rays: Floats) -> tuple[Ends, Ends
 
 def _panes(
     scene: BoxScene, origins: Floats, rays: Floats, limit_m: Floats
-) -> tuple[Floats, Floats, Floats, NDArray[np.int8]]:
+) -> tuple[Floats, Floats, Floats, Ints8]:
     """Return the transmittance of all panes that n rays cross, and three figures of the first pane.
 
     These are its reflectance (0 without a pane), its distance [m], and the axis of its normal. Each
@@ -329,7 +328,7 @@ def _past_bars(
 @compiled
 def add_through(
     opening: Floats, bars: Floats, low: Floats, high: Floats, position: Floats32,
-    face: NDArray[np.int8], softness: Floats32, weight: Floats, target: Indices, suns: Floats,
+    face: Ints8, softness: Floats32, weight: Floats, target: Indices, suns: Floats,
     glass: Floats, totals: Floats,
 ) -> None:  # fmt: skip
     """Add to `totals` the sunlight of n suns on r points that see them through one opening.
@@ -401,7 +400,7 @@ def add_through(
 
 @compiled
 def _add_outside(
-    low: Floats, high: Floats, position: Floats32, face: NDArray[np.int8], weight: Floats,
+    low: Floats, high: Floats, position: Floats32, face: Ints8, weight: Floats,
     target: Indices, suns: Floats, totals: Floats,
 ) -> None:  # fmt: skip
     """Add to `totals` the sunlight of n suns on r points outside the panes, past all boxes.
@@ -436,7 +435,7 @@ class _Group:
     """
 
     position: Floats32
-    face: NDArray[np.int8]
+    face: Ints8
     weight: Floats
     target: Indices
     low: Floats
@@ -483,10 +482,10 @@ class SunPoints:
 def sun_points(
     scene: BoxScene,
     position: Floats,
-    axis: NDArray[np.integer],
-    sign: NDArray[np.integer],
+    axis: Integers,
+    sign: Integers,
     weight: Floats,
-    target: NDArray[np.integer],
+    target: Integers,
     targets: int,
 ) -> SunPoints:
     """Return k surface points prepared for shadow tests: `SunPoints.direct` sums their sunlight.

@@ -5,9 +5,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Floats32, Ints8, Ints32, Mask
 from fieldlum.core.records import Room
 from fieldlum.optics.projection import direction, rotation
 from fieldlum.room.scene.box_room import BoxScene, build
@@ -29,10 +28,10 @@ class SurfaceSamples(NamedTuple):
     """
 
     position: Floats
-    axis: NDArray[np.int8]
-    sign: NDArray[np.int8]
-    box: NDArray[np.int32]
-    pixel: NDArray[np.int32]
+    axis: Ints8
+    sign: Ints8
+    box: Ints32
+    pixel: Ints32
     weight: Floats
     mirrored: Mask
 
@@ -68,7 +67,7 @@ def surface_points(scene: BoxScene, s: SurfaceSamples, pixels: int) -> SunPoints
     return sun_points(scene, s.position, s.axis, s.sign, weight, s.pixel, pixels)
 
 
-def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.int32], Floats]:
+def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[Ints32, Floats]:
     """Return flat pixel index [m] and direction [m, 3] of the m rays, sub x sub in each pixel.
 
     Directions are unit vectors, x east, y north, z up. The panorama has `height` rows, twice as
@@ -123,7 +122,7 @@ def camera_rays(scene: BoxScene, room: Room, world: Floats, heading_deg: float) 
 
 
 def trace_pixels(
-    scene: BoxScene, pixel: NDArray[np.int32], rays: Floats, count: int
+    scene: BoxScene, pixel: Ints32, rays: Floats, count: int
 ) -> tuple[SurfaceSamples, Floats32, Floats32]:
     """Return what rays from the camera show: surface samples, and the shares of sky and plain.
 

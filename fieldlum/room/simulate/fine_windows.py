@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Ints32, Ints64, Mask
 from fieldlum.optics.projection import direction, smallest_arc
 from fieldlum.room.scene.radiosity import LitRoom, Rendering, box_room, joined, near_light
 from fieldlum.room.scene.trace import SunPoints
@@ -84,7 +83,7 @@ def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:
     rays = np.empty((len(pixel), 3))
     sky, plain = np.zeros((2, len(pixel)), np.float32)
     blocks: list[SurfaceSamples] = []
-    faces: list[NDArray[np.int64]] = []
+    faces: list[Ints64] = []
     for part, row, world in _blocks(grid, pixel):
         toward = camera_rays(scene, room, world, view.heading_deg)
         count = part.stop - part.start
@@ -141,7 +140,7 @@ def _grid_of(near: Mask, parts: int, heading_deg: float) -> tuple[SkyGrid, Mask]
     return grid, cut.repeat(parts, axis=0).repeat(parts, axis=1)
 
 
-def _blocks(grid: SkyGrid, pixel: Indices) -> Iterator[tuple[slice, NDArray[np.int32], Floats]]:
+def _blocks(grid: SkyGrid, pixel: Indices) -> Iterator[tuple[slice, Ints32, Floats]]:
     """Yield blocks of fine pixels: a slice of `pixel`, each ray's index in it [n], and rays [n, 3].
 
     pixel: flat indices into the grid [p]. Rays are directions in world axes; those of a pixel

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, evenly_spread
+from fieldlum.core.arrays import Floats, Floats16, evenly_spread
 from fieldlum.core.files import replacing
 from fieldlum.core.records import JsonTable
 from fieldlum.session.codec import JsonFile, open_arrays
@@ -159,8 +159,8 @@ class HeldOutMaps:
 
     slots: NDArray[np.str_]
     log10_mse: Floats
-    measured_log10: NDArray[np.float16]
-    predicted_log10: NDArray[np.float16]
+    measured_log10: Floats16
+    predicted_log10: Floats16
 
     def __len__(self) -> int:
         return len(self.slots)

@@ -13,15 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import JsonTable, Site
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, rotation, signed_angle_deg
-from fieldlum.sky.sky_view.measured_discs import (
-    MIN_DISCS,
-    NAMES,
-    MeasuredDiscs,
-    PoseFit,
-    fit_pose,
-    scaled,
-    sun_earlier,
-)
+from fieldlum.sky.sky_view import measured_discs
 
 # Standard uncertainties of a stated pose: a compass near steel is within 5 degrees (two standard
 # deviations), a spirit level on a camera within 1 degree, a lens profile within 1 %. Chosen.
@@ -86,7 +78,7 @@ class CameraPose:
 
         discs: number of discs that determine it.
         """
-        named = dict(zip(NAMES[:4], map(float, values), strict=True))
+        named = dict(zip(measured_discs.NAMES[:4], map(float, values), strict=True))
         rows = tuple(tuple(map(float, row)) for row in covariance)
         notes = (*self.notes, *notes)
         return replace(self, **named, covariance=rows, discs=discs, notes=notes)
@@ -128,7 +120,9 @@ class CameraPose:
             return self
         stated = rotation(self.heading_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
         ahead, right = direction(0.0, self.axis_deg + np.array([0.0, 90.0]))
-        view, side = sun_earlier(np.stack([ahead, right]) @ stated.T, late_min, latitude_deg)
+        view, side = measured_discs.sun_earlier(
+            np.stack([ahead, right]) @ stated.T, late_min, latitude_deg
+        )
         tilt_deg, azimuth_deg = altitude_azimuth_deg(view)
         roll_deg = -np.degrees(np.arcsin(side[2] / np.cos(np.radians(tilt_deg))))
         heading_deg = signed_angle_deg(azimuth_deg - self.axis_deg)
@@ -150,7 +144,7 @@ class CameraPose:
         """
         heading, tilt, roll, scale = self.values if values is None else values
         turned = suns @ rotation(heading, tilt, roll, self.axis_deg)  # inverse: the transpose
-        return scaled(turned, 1.0 / (1.0 + scale) - 1.0, self.axis_deg)
+        return measured_discs.scaled(turned, 1.0 / (1.0 + scale) - 1.0, self.axis_deg)
 
     def true_directions(self, shown: Floats) -> Floats:
         """Return the true directions of what the pictures show, [n, 3]: inverse of `in_pictures`.
@@ -158,10 +152,10 @@ class CameraPose:
         shown: directions by the stated pose. All are unit vectors, x east, y north, z up.
         """
         turn = rotation(self.heading_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
-        return scaled(shown, self.lens_scale, self.axis_deg) @ turn.T
+        return measured_discs.scaled(shown, self.lens_scale, self.axis_deg) @ turn.T
 
 
-def pose_of_discs(discs: MeasuredDiscs, site: Site, axis_deg: float) -> CameraPose:
+def pose_of_discs(discs: measured_discs.MeasuredDiscs, site: Site, axis_deg: float) -> CameraPose:
     """Return the pose that agrees best with the measured discs and the stated pose.
 
     axis_deg: stated azimuth of the lens's axis, clockwise from north. The result is the stated pose
@@ -172,9 +166,9 @@ def pose_of_discs(discs: MeasuredDiscs, site: Site, axis_deg: float) -> CameraPo
         return replace(stated, notes=(_NO_DISC,))
     prior = (*STATED_SD, _CLOCK_SD_MIN)
     blurred = replace(discs, sigma_deg=np.hypot(discs.sigma_deg, _LENS_U_DEG))
-    fit = fit_pose(blurred, site, axis_deg, prior, minimum=1)
+    fit = measured_discs.fit_pose(blurred, site, axis_deg, prior, minimum=1)
     used = len(discs) - len(fit.dropped)
-    if used < MIN_DISCS and np.max(np.abs(fit.values) / prior) > _CONTRADICTION:
+    if used < measured_discs.MIN_DISCS and np.max(np.abs(fit.values) / prior) > _CONTRADICTION:
         note = (
             f"{used} measured sun discs contradict the stated pose ({_angles(fit)}) and are not "
             "used: check the heading in SITE.toml, or capture three clear hours with the sun in "
@@ -199,7 +193,7 @@ _NO_DISC = (
 _ANGLES = ("heading", "tilt", "roll")
 
 
-def _angles(fit: PoseFit) -> str:
+def _angles(fit: measured_discs.PoseFit) -> str:
     """Return heading, tilt and roll of a fit with their uncertainties, as text."""
     parts = (f"{n} {fit[f'{n}_deg']:+.2f} +- {fit.u[f'{n}_deg']:.2f}" for n in _ANGLES)
     return f"{', '.join(parts)} degrees"

@@ -13,9 +13,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Ints32, Ints64, Mask
 from fieldlum.core.compiled import compiled
 from fieldlum.optics import projection
 
@@ -100,7 +100,7 @@ class Views:
     hemisphere: Floats
     is_panorama: bool = True
 
-    def rays(self, pixels: NDArray[np.int64] | slice = slice(None)) -> tuple[Floats, Floats]:
+    def rays(self, pixels: Ints64 | slice = slice(None)) -> tuple[Floats, Floats]:
         """Return unit vectors (right, up, forward) [n, 3, d] and solid angles [n, d] of n pixels.
 
         pixels : flat indices of the pixels, or a slice; by default all. Solid angles are in sr; a
@@ -201,7 +201,7 @@ def _half_widths(height: int, radius_rad: float) -> Indices:
     return np.where((rest >= 0.0) & (other == near), np.minimum(half, height), -1)
 
 
-def group_pixels(mask: Mask) -> NDArray[np.int32]:
+def group_pixels(mask: Mask) -> Ints32:
     """Return the number of the glare source of each pixel, from 1, [H, W]; 0 outside `mask`.
 
     mask : [H, W = 2H] of a panorama, True for bright pixels. Pixels closer than 0.1 rad belong to
@@ -214,7 +214,7 @@ def group_pixels(mask: Mask) -> NDArray[np.int32]:
     return np.where(mask, _joined_at_seam(labels), 0).astype(np.int32)
 
 
-def _joined_at_seam(labels: NDArray[np.int32]) -> NDArray[np.int32]:
+def _joined_at_seam(labels: Ints32) -> Ints32:
     """Return the labels [H, W] with one number for sources that meet at the seam or a pole.
 
     labels [H, W]: number of the source of each pixel, 0 for none. The seam is between the last and
@@ -246,7 +246,7 @@ class Sources(NamedTuple):
     right_rad: Floats
     up_rad: Floats
     ev_lx: Floats
-    pixels: list[NDArray[np.int64]]
+    pixels: list[Ints64]
 
     @property
     def contrast(self) -> Floats:
@@ -279,7 +279,7 @@ def glare_sources(luminance_cdm2: Floats, views: Views) -> Sources:
     return Sources(mean_cdm2, area, right, up, ev_lx, pixels)
 
 
-def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[NDArray[np.int64]]:
+def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[Ints64]:
     """Return an array of flat pixel indices for each glare source of a picture [H, W] in cd/m2.
 
     views : weights of a picture that is no panorama; pixels without a weight are no source. Pixels
@@ -302,7 +302,7 @@ def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[NDArr
         cells = np.stack(projection.equirect_pixel(*place, *shape, 0.0)).astype(int)
     row, column = np.clip(cells, 0, np.array(shape)[:, None] - 1)
 
-    def groups(chosen: Mask) -> NDArray[np.int32]:
+    def groups(chosen: Mask) -> Ints32:
         """Return the number of the source of each bright pixel, from 1, [n].
 
         chosen : mask [n] of the bright pixels that form the sources; the numbers of the others have
