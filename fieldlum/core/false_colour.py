@@ -46,9 +46,7 @@ def png_of(rgb: UInts8) -> bytes:
     """
     import cv2
 
-    succeeded, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))  # OpenCV has BGR
-    if not succeeded:
-        raise ValueError("the picture could not be encoded")
+    _, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))  # OpenCV has BGR
     return data.tobytes()
 
 

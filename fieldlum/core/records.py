@@ -64,9 +64,8 @@ def parse_utc(text: str) -> datetime:
     """
     t = parse_time(text)
     if t.tzinfo is None:
-        raise ValueError(
-            f"time {text!r} has no time zone: write it as UTC, such as 2027-03-20T15:30:00Z"
-        )
+        remedy = "write it as UTC, such as 2027-03-20T15:30:00Z"
+        raise ValueError(f"time {text!r} has no time zone: {remedy}")
     require_known_year(t)
     return t.astimezone(UTC)
 

@@ -3,9 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Array, Floats, Mask
+from fieldlum.core.arrays import Array, ArrayLike, Floats, Mask
 
 # Standard deviation of a normal distribution over its median absolute deviation: 1 / 0.6745.
 MAD_TO_SIGMA = 1.4826

@@ -14,9 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import ArrayLike, Floats
 from fieldlum.core.records import Exposure
 
 # The empirical constant of hdrgen (Ward, panlib). A wrong value scales all luminances without a

@@ -301,9 +301,8 @@ def _views(lines: Sequence[str]) -> tuple[str, ...]:
 
 def _heading(line: str, path: Path) -> float:
     """Return the heading [deg] in the line by which fieldlum marks a panorama."""
-    words = line.removeprefix(PANORAMA_LINE).split()
     with suppress(ValueError, IndexError):
-        if np.isfinite(heading := float(words[0])):
+        if np.isfinite(heading := float(line.removeprefix(PANORAMA_LINE).split()[0])):
             return heading
     expected = f"{PANORAMA_LINE} and a number"
     raise InputError(path, repr(line)[:80], expected, "correct the header line")
@@ -420,10 +419,8 @@ def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") ->
 
 def _sun_text(sun: SunSource) -> str:
     """Return the attribute `sun`: altitude, azimuth [deg], lx, visible fraction and origin."""
-    return (
-        f"{sun.altitude_deg:.4f} {sun.azimuth_deg:.4f} {sun.normal_illuminance_lx:.6g}"
-        f" {sun.visible_fraction:.4f} {sun.origin or 'unknown'}"
-    )
+    light = f"{sun.normal_illuminance_lx:.6g} {sun.visible_fraction:.4f}"
+    return f"{sun.altitude_deg:.4f} {sun.azimuth_deg:.4f} {light} {sun.origin or 'unknown'}"
 
 
 def _sun_parse(text: str) -> SunSource:

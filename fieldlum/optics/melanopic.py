@@ -6,9 +6,8 @@ of warm light is larger. bench/melanopic.py computes the constants and compares 
 """
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import ArrayLike, Floats, Floats32
 from fieldlum.core.records import Panorama, SunSource
 
 # Melanopic EDI over X, Y and Z: least squares over CIE daylight of 4000 to 25000 K through eight
@@ -158,8 +157,7 @@ def sky_xyz(luminance_cdm2: Floats, clearness: Floats) -> Floats:
     (`gendaylit -C`), 4000 to 25 000 K. luminance_cdm2 [...]: of the places; clearness: Perez's
     epsilon, in a shape that broadcasts to [...].
     """
-    decades = np.log10(np.maximum(luminance_cdm2, 1.0))
-    clear = _CLEAR_MIRED + _CLEAR_MIRED_PER_DECADE * decades
+    clear = _CLEAR_MIRED + _CLEAR_MIRED_PER_DECADE * np.log10(np.maximum(luminance_cdm2, 1.0))
     share = (clearness - _OVERCAST_CLEARNESS) / (_CLEAR_CLEARNESS - _OVERCAST_CLEARNESS)
     share = np.clip(share, 0.0, 1.0)
     mired = share * clear + (1.0 - share) * 1e6 / _OVERCAST_K  # 1e6 / colour temperature [K]

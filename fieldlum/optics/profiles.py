@@ -259,9 +259,8 @@ def check_profile(profile: CameraProfile, where: str) -> None:
 
     fit_again = "fit it again: fieldlum calibrate lens"
     for lens in (lens for lens in profile.lens if lens.mapping == "polynomial"):
-        finding = (
-            f"lens '{lens.name}': polynomial of {list(lens.coefficients) or 'no coefficients'}"
-        )
+        shown = list(lens.coefficients) or "no coefficients"
+        finding = f"lens '{lens.name}': polynomial of {shown}"
         try:
             angle_of_radius(lens, 1.0)
         except ValueError as error:
@@ -451,10 +450,8 @@ def planned_exposures(profile: CameraProfile, setup: CameraSetup) -> tuple[Expos
 def sun_text(slots: Sequence[Slot]) -> str:
     """Return a sentence on how the sun's disc is measured; "" without filter and sun in view."""
     if names := sorted({e.nd for slot in slots for e in slot.exposures if e.nd}):
-        return (
-            f"frames are planned through the filter {', '.join(names)}: a person must put it on "
-            "and take it off in each bracket"
-        )
+        remedy = "a person must put it on and take it off in each bracket"
+        return f"frames are planned through the filter {', '.join(names)}: {remedy}"
     if not (in_view := sum("sun-in-view" in slot.tags for slot in slots)):
         return ""
     text = f"the sun is in view of the lens in {counted(in_view, 'slot')}"

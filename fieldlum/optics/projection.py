@@ -16,27 +16,19 @@ from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Array, Floats, Mask
+from fieldlum.core.arrays import Array, ArrayLike, Floats, Mask
 from fieldlum.core.strict_toml import Positive
 
 # ----------------------------------------------------------------------------------------------
 # panoramas
 
 
-def row_solid_angles(height: int, width: int) -> Floats:
-    """Return the solid angle of one pixel of each row of a panorama, in sr, [H].
-
-    height, width: H, W in pixels; all pixels sum to 4 pi.
-    """
-    edges = np.cos(np.linspace(0.0, np.pi, height + 1))
-    return (edges[:-1] - edges[1:]) * 2.0 * np.pi / width
-
-
 def equirect_solid_angles(height: int, width: int) -> Floats:
-    """Return the solid angle of each pixel of a panorama, in sr, [height, width]."""
-    return np.repeat(row_solid_angles(height, width)[:, None], width, axis=1)
+    """Return the solid angle of each pixel of a panorama, in sr, [height, width]; in all 4 pi."""
+    edges = np.cos(np.linspace(0.0, np.pi, height + 1))
+    of_rows = (edges[:-1] - edges[1:]) * 2.0 * np.pi / width
+    return np.repeat(of_rows[:, None], width, axis=1)
 
 
 def column_azimuths_deg(width: int, heading_deg: float) -> Floats:
@@ -102,9 +94,8 @@ def equirect_rays(height: int, width: int, heading_deg: float) -> Floats:
     height, width: H, W; row 0 is at the zenith; heading_deg: azimuth of the middle, clockwise from
     north.
     """
-    return direction(
-        row_altitudes_deg(height)[:, None], column_azimuths_deg(width, heading_deg)[None, :]
-    )
+    azimuths_deg = column_azimuths_deg(width, heading_deg)
+    return direction(row_altitudes_deg(height)[:, None], azimuths_deg[None, :])
 
 
 def equirect_pixel(
@@ -332,8 +323,7 @@ class Equirect:
     def solid_angles(self) -> Floats:
         """Return the solid angle of each pixel, in sr, [rows, columns]."""
         (rows, columns), first = self.shape, self.corner[0]
-        angles = equirect_solid_angles(self.height, 2 * self.height)
-        return angles[first : first + rows, :columns]
+        return equirect_solid_angles(self.height, 2 * self.height)[first : first + rows, :columns]
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,8 +24,7 @@ def kernel_per_sr(angle_rad: Floats, nodes_deg: Floats, values_per_sr: Floats) -
     nodes_deg, values_per_sr: k ascending angles above 0 and K there, [k] each. The result has the
     shape of angle_rad.
     """
-    smallest = np.radians(nodes_deg[0])
-    place = np.log(np.maximum(angle_rad, smallest))
+    place = np.log(np.maximum(angle_rad, np.radians(nodes_deg[0])))
     return np.interp(place, np.log(np.radians(nodes_deg)), values_per_sr)
 
 

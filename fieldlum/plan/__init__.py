@@ -8,9 +8,8 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Mask
+from fieldlum.core.arrays import ArrayLike, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure, JsonTable, Room, Site, SiteFile, Slot, counted
 from fieldlum.optics import profiles
@@ -258,8 +257,7 @@ def write_sheets(
     first page. Raises InputError if session.toml has no complete table [plan], for a damaged
     plan.csv, and for an impossible room.
     """
-    cost = _planned_cost(session)[:2]
-    page = html(session.slots(), session.site_file(), cost, weather, notes)
+    page = html(session.slots(), session.site_file(), _planned_cost(session)[:2], weather, notes)
     return write_file(session.root / "plan.html", page)
 
 

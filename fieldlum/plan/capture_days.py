@@ -44,9 +44,8 @@ class DaylightHours:
 
     def __getitem__(self, chosen: Iterable[int]) -> DaylightHours:
         index = [int(i) for i in chosen]
-        return DaylightHours(
-            tuple(self.t_utc[i] for i in index), self.altitude_deg[index], self.azimuth_deg[index]
-        )
+        times = tuple(self.t_utc[i] for i in index)
+        return DaylightHours(times, self.altitude_deg[index], self.azimuth_deg[index])
 
 
 def hours_of(slots: Sequence[Slot]) -> DaylightHours:

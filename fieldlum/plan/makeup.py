@@ -151,13 +151,12 @@ def _record_plan(session: Session, about: PlanTable) -> PlanTable:
     about: the table of the plan before. The new one has the next revision, and the SHA-256 of the
     new plan and of all earlier ones.
     """
-    older = [*about.get("older_sha256", []), about.get("sha256", "")]
     new: PlanTable = {
         **about,
         "revision": about.get("revision", 0) + 1,
         "slots": len(read_plan(session.plan)),
         "sha256": sha256(session.plan),
-        "older_sha256": older,
+        "older_sha256": [*about.get("older_sha256", []), about.get("sha256", "")],
     }
     update_session(session, {"plan": new})
     return new

@@ -80,10 +80,8 @@ def ics(
 def _event_line(slot: Slot, zone: ZoneInfo) -> str:
     """Return a slot as a line of text: its time in a zone and in UTC, its sun and its tags."""
     tags = f"; {' '.join(slot.tags)}" if slot.tags else ""
-    return (
-        f"{slot.t_utc.astimezone(zone):%H:%M %Z} ({utc_text(slot.t_utc)}) sun "
-        f"{slot.sun_altitude_deg:.0f} deg high, azimuth {slot.sun_azimuth_deg:.0f}{tags}"
-    )
+    place = f"{slot.sun_altitude_deg:.0f} deg high, azimuth {slot.sun_azimuth_deg:.0f}"
+    return f"{slot.t_utc.astimezone(zone):%H:%M %Z} ({utc_text(slot.t_utc)}) sun {place}{tags}"
 
 
 def html(
@@ -105,10 +103,9 @@ def html(
     environment = Environment(loader=loader, autoescape=escape_all)
     counts = accumulate(len(group) for _, group in dated)
     assumed = assumed_texts(setup.camera)
-    sheets = [_sheet(*day, setup, cost, count) for day, count in zip(dated, counts, strict=True)]
     return environment.get_template("sheet.html.j2").render(
         site=setup.site,
-        sheets=sheets,
+        sheets=[_sheet(*day, setup, cost, n) for day, n in zip(dated, counts, strict=True)],
         days=len(dated),
         late=5,  # minutes; the default of `fieldlum capture --grace` (docs/capture.md)
         notes=[note for note in notes if note not in assumed],

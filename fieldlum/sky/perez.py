@@ -13,9 +13,8 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Array, Floats, Indices
+from fieldlum.core.arrays import Array, ArrayLike, Floats, Indices
 
 SOLAR_CONSTANT_WM2 = 1367.0  # gendaylit's value
 WATER_CM = 2.0  # precipitable water, gendaylit's default
@@ -154,9 +153,8 @@ def _shape(zenith: Floats, clearness: Floats, brightness: Floats) -> Floats:
     with x1 to x4 looked up by clearness; in the overcast bin c and d have formulas of their own
     (Perez, Seals and Michalsky 1993).
     """
-    brightness = np.where(
-        (clearness > 1.065) & (clearness < 2.8), np.maximum(brightness, 0.2), brightness
-    )
+    is_between = (clearness > 1.065) & (clearness < 2.8)
+    brightness = np.where(is_between, np.maximum(brightness, 0.2), brightness)
     x = _SHAPE[np.searchsorted(_BINS, clearness, side="right")]  # [n, 5, 4]
     terms = np.stack((np.ones_like(zenith), zenith, brightness, brightness * zenith), axis=-1)
     shape = np.zeros((len(x), 5))
@@ -211,9 +209,8 @@ def _ground_over_zenith(clearness: Floats, altitude: Floats) -> Floats:
     between = np.polynomial.polynomial.polyval(x, (3.5556, -2.7152, -1.3081, 1.0660, 0.60227))
     zenith = np.pi / 2 - altitude
     f_clear = 0.274 * (0.91 + 10 * np.exp(-3 * zenith) + 0.45 * np.sin(altitude) ** 2)
-    f_between = (2.739 + 0.9891 * np.sin(0.3119 + 2.6 * altitude)) * np.exp(
-        -zenith * (0.4441 + 1.48 * altitude)
-    )
+    rise, fall = 2.739 + 0.9891 * np.sin(0.3119 + 2.6 * altitude), 0.4441 + 1.48 * altitude
+    f_between = rise * np.exp(-zenith * fall)
     mixed = np.where(clearness >= 6, clear / f_clear, between / f_between) / np.pi
     return np.where(clearness <= 1, 0.777778, mixed)
 

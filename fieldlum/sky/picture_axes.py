@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.ndimage import label
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import ArrayLike, Floats, Mask
 from fieldlum.core.records import counted
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,

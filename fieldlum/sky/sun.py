@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Mask, evenly_spread
+from fieldlum.core.arrays import ArrayLike, Floats, Mask, evenly_spread
 from fieldlum.core.records import Site
 from fieldlum.optics.projection import direction as direction  # callers read sun.direction
 from fieldlum.optics.projection import signed_angle_deg
@@ -85,8 +84,7 @@ def apparent_altitude_deg(altitude_deg: ArrayLike) -> Floats:
     altitude = np.asarray(altitude_deg, float)
     visible = altitude >= -(0.26667 + _HORIZON_REFRACTION_DEG)  # SPA's radius of the disc
     arguments = (*_STANDARD_HPA_C, np.where(visible, altitude, 0.0), _HORIZON_REFRACTION_DEG)
-    raised_deg = spa.atmospheric_refraction_correction(*arguments)
-    return altitude + np.where(visible, raised_deg, 0.0)
+    return altitude + np.where(visible, spa.atmospheric_refraction_correction(*arguments), 0.0)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -257,8 +257,7 @@ def _disc_at(
     pixels are the bright sky around the sun.
     """
     angle = band.angle_rad(centre)
-    ring = (angle > reach_rad) & (angle <= reach_rad + band.ring_rad)
-    around = band.light[ring]
+    around = band.light[(angle > reach_rad) & (angle <= reach_rad + band.ring_rad)]
     surroundings = float(np.median(around)) if around.size else 0.0
     bright = float(np.quantile(around, 0.9)) if around.size else 0.0
     within_reach = angle <= reach_rad

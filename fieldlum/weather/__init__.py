@@ -206,10 +206,9 @@ def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
         values[:, dark] = np.nan
     negative = values < 0
     if negative.any():
-        repairs.append(
-            f"{int(negative.any(axis=0).sum())} hours with negative irradiance (down to "
-            f"{np.nanmin(values):.1f} W/m2, a night offset) set to zero"
-        )
+        found = f"{int(negative.any(axis=0).sum())} hours with negative irradiance"
+        lowest = f"down to {np.nanmin(values):.1f} W/m2, a night offset"
+        repairs.append(f"{found} ({lowest}) set to zero")
     return np.where(negative, 0.0, values)
 
 

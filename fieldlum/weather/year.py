@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import ArrayLike, Floats
 from fieldlum.core.records import Site
 from fieldlum.sky import sun
 

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Mask, evenly_spread
+from fieldlum.core.arrays import ArrayLike, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import input_errors
 from fieldlum.learn.models import deserialised
 from fieldlum.learn.models.training_data import Dataset
@@ -375,8 +374,7 @@ def flat_pixels(towards: Floats, shape: tuple[int, ...], heading_deg: float) -> 
     azimuth of its centre column, clockwise from north.
     """
     row, column = equirect_pixel(*altitude_azimuth_deg(towards), shape[0], shape[1], heading_deg)
-    pixel = (row.astype(int), column.astype(int))
-    return np.ravel_multi_index(pixel, shape, mode=("clip", "wrap"))
+    return np.ravel_multi_index((row.astype(int), column.astype(int)), shape, ("clip", "wrap"))
 
 
 # ----------------------------------------------------------------------------------------------

@@ -233,18 +233,15 @@ def by_other_program(path: Path) -> tuple[float, float, float]:
     if neither program is installed.
     """
     for program, *options in _READERS:
-        if command := shutil.which(program):
-            with suppress(OSError, subprocess.SubprocessError):
-                call = [command, *options, str(path.absolute())]
-                shown = subprocess.run(
-                    call, capture_output=True, text=True, timeout=30, check=False
-                )
-                lines = [pattern.search(shown.stdout) for pattern in _READ]
-                # a line has a number, or numerator and denominator
-                time_s, f_number, iso = (
-                    float(m[1]) / float(m[2] or 1) if m else 0.0 for m in lines
-                )
-                return time_s, f_number, 0.0 if iso == _NO_ISO else iso
+        if (command := shutil.which(program)) is None:
+            continue
+        with suppress(OSError, subprocess.SubprocessError):
+            call = [command, *options, str(path.absolute())]
+            shown = subprocess.run(call, capture_output=True, text=True, timeout=30, check=False)
+            lines = [pattern.search(shown.stdout) for pattern in _READ]
+            # a line has a number, or numerator and denominator
+            time_s, f_number, iso = (float(m[1]) / float(m[2] or 1) if m else 0.0 for m in lines)
+            return time_s, f_number, 0.0 if iso == _NO_ISO else iso
     return _NO_EXPOSURE
 
 

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import UInts8, UInts16
+from fieldlum.core.arrays import ArrayLike, UInts8, UInts16
 from fieldlum.core.records import Exposure
 from fieldlum.optics.raw import channel_positions
 

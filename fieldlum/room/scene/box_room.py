@@ -10,9 +10,8 @@ from itertools import combinations, pairwise
 from typing import TypeGuard
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import ArrayLike, Floats, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Window
 from fieldlum.optics.projection import compass_name
@@ -272,15 +271,13 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
     high_end = length - window.left_m - window.width_m
     start = high_end if window.wall in FROM_HIGH_END else window.left_m
     inner, outer = _faces_m(room, window.wall)
-    span = (max(start, 0.0), min(start + window.width_m, length))
-    heights = (window.sill_m, min(top, room.height_m))
     return Opening(
         axis,
         outward=2 * side - 1,
         inner_m=inner,
         outer_m=outer,
-        u_m=span,
-        z_m=heights,
+        u_m=(max(start, 0.0), min(start + window.width_m, length)),
+        z_m=(window.sill_m, min(top, room.height_m)),
         transmittance=window.transmittance,
     )
 

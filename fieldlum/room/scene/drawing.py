@@ -126,8 +126,7 @@ def outline_pixels(room: Room, grid: ClickGrid) -> dict[str, list[list[float]]]:
         for start, end in combinations(corners, 2):
             if np.count_nonzero(start != end) > 1:
                 continue  # a diagonal
-            points = (start * (1 - share) + end * share - scene.camera_m) @ scene.turn
-            xy = grid.pixels(points)
+            xy = grid.pixels((start * (1 - share) + end * share - scene.camera_m) @ scene.turn)
             cuts = np.flatnonzero(np.abs(np.diff(xy[:, 0])) > grid.width_px / 2) + 1
             lines[name] += [np.round(part, 2).ravel().tolist() for part in np.split(xy, cuts)]
     return lines

@@ -433,8 +433,7 @@ class LitRoom:
         first_lx = np.hstack([pieces_lx * sun[:, c] for c in range(3)])
         tint = of_piece.repeat(len(light), axis=1)
         columns = self.columns(np.hstack(parts).astype(np.float32), first_lx, tint, _COLOUR_BOUNCES)
-        by_colour = np.split(self.pixels_cdm2(columns).T, 3)
-        for c, bounced in enumerate(by_colour):
+        for c, bounced in enumerate(np.split(self.pixels_cdm2(columns).T, 3)):
             lit = bounced + sunlit_cdm2 * sun[:, c, None]
             out[..., c] = lit * of_pixel[:, c] + ground[:, c, None] * self.view.plain.ravel()
             out[:, seen, c] += seen_rgb[..., c]
@@ -570,7 +569,6 @@ def lit_room(
     smooth = near_light((s.position, faces), (s.position, faces), _SHARED, reach_m)
     luminance = (s.weight * scene.reflectance[s.box] / np.pi).astype(np.float32)
     points = np.arange(len(s.pixel))
-    to_pixels = csr_matrix((luminance, (s.pixel, points)), (2 * height**2, len(points)))
     return LitRoom(
         setup,
         view,
@@ -579,7 +577,7 @@ def lit_room(
         faces,
         point_coefficients=of_points,
         smooth=smooth,
-        to_pixels=to_pixels,
+        to_pixels=csr_matrix((luminance, (s.pixel, points)), (2 * height**2, len(points))),
         outdoor_coefficients=of_pieces[:, :FIRST_PIECE].tocsr(),
         bounce_coefficients=of_pieces[:, FIRST_PIECE:].tocsr(),
     )

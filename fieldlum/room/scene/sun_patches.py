@@ -8,9 +8,8 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats32, Indices
+from fieldlum.core.arrays import ArrayLike, Floats32, Indices
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
 from fieldlum.room.scene.trace import SunPoints

@@ -68,10 +68,8 @@ def sample_slots(
     excluded = set(without)
     free = np.array([k for k, t in enumerate(day.t_utc) if t not in excluded])
     if count > len(free):
-        raise NotEnoughDataError(
-            f"{count} hours requested, but the weather year has only {len(free)} unused hours with "
-            "light; request fewer"
-        )
+        unused = f"the weather year has only {len(free)} unused hours with light"
+        raise NotEnoughDataError(f"{count} hours requested, but {unused}; request fewer")
     rows = np.sort(np.random.default_rng(seed).permutation(free)[:count])
     times = [day.t_utc[k] for k in rows]
     at = sun.position(times, setup.site)

@@ -128,10 +128,9 @@ def _grid_of(near: Mask, parts: int, heading_deg: float) -> tuple[SkyGrid, Mask]
     first, span = smallest_arc(np.asarray(near.any(axis=0)))  # of columns
     cut = near[rows[0] : rows[-1] + 1][:, (first + np.arange(span)) % (2 * height)]
     pixel_deg = 180.0 / height
-    start = (first + height) % (2 * height) - height
     grid = SkyGrid(
         first_altitude_deg=float(90.0 - rows[0] * pixel_deg),
-        first_azimuth_deg=start * pixel_deg - 180.0,
+        first_azimuth_deg=((first + height) % (2 * height) - height) * pixel_deg - 180.0,
         step_deg=pixel_deg / parts,
         heading_deg=heading_deg,
         height=parts * len(cut),

@@ -420,8 +420,7 @@ def _covered(stack: _Stack, pose: CameraPose) -> Mask:
     season, covered = _season(stack.light), np.zeros(len(stack.light), bool)
     for shade in (_SHADED, _HALF_SHADED):
         dark = dark_shares(stack.luminance_cdm2[:, ::step], stack.light, rays, shade)
-        usual = np.array([np.median(dark[season == k]) for k in season])
-        covered |= dark > usual + _COVERED_SHARE
+        covered |= dark > np.array([np.median(dark[season == k]) for k in season]) + _COVERED_SHARE
         if covered.sum() < 3:
             break
     return covered
@@ -586,10 +585,8 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
     sky, scatters, captures = decided.sky, decided.scatters, decided.view.captures
     notes = []
     if captures < MIN_CAPTURES:
-        notes.append(
-            f"where the sky is needs {MIN_CAPTURES} captures, here {captures}: the sun's disc has "
-            "bounds only; capture overcast and clear hours"
-        )
+        few = f"where the sky is needs {MIN_CAPTURES} captures, here {captures}"
+        notes.append(f"{few}: the sun's disc has bounds only; capture overcast and clear hours")
     elif captures < _FEW_CAPTURES:
         notes.append(
             f"{captures} captures give a first look at where the sky is, and bounds of the sun's "
@@ -671,10 +668,8 @@ def _contradiction_notes(contradictions: Mapping[datetime, str]) -> Iterator[str
     shown = {f"{t:%Y-%m-%d %H:%M} UTC": contradictions[t] for t in sorted(contradictions)}
     dark = [time for time, kind in shown.items() if kind == _DARK]
     if named := [f"{time} ({kind} captured)" for time, kind in shown.items() if kind != _DARK]:
-        yield (
-            f"{counted(len(named), 'capture')} contradicted the sky view, corrected there: "
-            f"{listed(named, 3)}; check the heading and the clock"
-        )
+        found = f"{counted(len(named), 'capture')} contradicted the sky view, corrected there"
+        yield f"{found}: {listed(named, 3)}; check the heading and the clock"
     if dark:
         yield (
             f"{counted(len(dark), 'capture')} dark where others show sky, not used there: "
@@ -745,8 +740,7 @@ def _corrected(view: SkyView, captured: Captured) -> tuple[SkyView, dict[datetim
         contradictions[light.t_utc[k]] = "a disc" if missed else "no disc"
         pane = np.maximum(np.nan_to_num(view.transmittance[at]), _SHUT)
         arrays["openness"][at] = np.clip(share / pane, 0.0, 1.0)
-        bounds = missed * np.minimum((0.8 * share, 1.2 * share), 1.0)
-        arrays["low"][at], arrays["high"][at] = bounds
+        arrays["low"][at], arrays["high"][at] = missed * np.minimum((0.8 * share, 1.2 * share), 1.0)
     return replace(view, **arrays), contradictions
 
 
@@ -805,8 +799,7 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
     wide = np.intersect1d(large, labels[inner])
     if len(wide):
         narrow = np.isin(labels, np.setdiff1d(large, wide))
-        like_wide = level.flat[_nearest(np.isin(labels, wide))]
-        level[narrow] = np.maximum(like_wide, through)[narrow]
+        level[narrow] = np.maximum(level.flat[_nearest(np.isin(labels, wide))], through)[narrow]
     of_large = np.isin(labels, large)
     nearest = _nearest(of_large)
     distance_px = np.hypot(*(np.unravel_index(nearest, sky.shape) - np.indices(sky.shape)))

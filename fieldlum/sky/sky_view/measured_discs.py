@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import ArrayLike, Floats
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Site
 from fieldlum.optics.projection import rotation
@@ -122,10 +121,9 @@ def fit_pose(
     from scipy.optimize import least_squares
 
     if len(discs) < minimum:
-        raise NotEnoughDataError(
-            f"{len(discs)} measured sun discs, but at least {minimum} are needed to "
-            "fit north, level and clock: capture clear hours with the sun in view"
-        )
+        needed = f"at least {minimum} are needed to fit north, level and clock"
+        remedy = "capture clear hours with the sun in view"
+        raise NotEnoughDataError(f"{len(discs)} measured sun discs, but {needed}: {remedy}")
     place = sun.position(list(discs.t_utc), site)
     bent = place.apparent_altitude_deg - place.altitude_deg  # refraction [n] deg
     shown = sun.direction(discs.altitude_deg - bent, discs.azimuth_deg)

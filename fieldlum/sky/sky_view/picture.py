@@ -8,9 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import ArrayLike, Floats, Floats32, Indices, Mask
 from fieldlum.core.files import replacing
 from fieldlum.core.records import Flag, Panorama
 from fieldlum.optics.projection import altitude_azimuth_deg, direction

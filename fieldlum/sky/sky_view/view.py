@@ -97,8 +97,7 @@ class SkyView:
         north_deg: to add to the stated heading; u_deg: its standard uncertainty; late_min: by how
         much the captures' times were too late; latitude_deg: of the site.
         """
-        heading_deg = (self.grid.heading_deg + north_deg) % 360.0
-        grid = replace(self.grid, heading_deg=heading_deg)
+        grid = replace(self.grid, heading_deg=(self.grid.heading_deg + north_deg) % 360.0)
         pose = self.pose.at_clock(late_min, latitude_deg).turned(north_deg, u_deg)
         others = (v.turned(north_deg, u_deg, late_min, latitude_deg) for v in self.others)
         return replace(self, grid=grid, pose=pose, others=tuple(others))
@@ -242,10 +241,8 @@ def _check(grid: SkyGrid, arrays: dict[str, Floats32], frame: str) -> None:
     bottom_deg = grid.first_altitude_deg - grid.height * grid.step_deg
     around_deg = grid.width * grid.step_deg
     if not -91.0 < bottom_deg < grid.first_altitude_deg < 91.0 or not 0.0 < around_deg < 361.0:
-        raise ValueError(
-            f"a grid from {bottom_deg:g} to {grid.first_altitude_deg:g} degrees of altitude and "
-            f"{around_deg:g} degrees around"
-        )
+        altitudes = f"{bottom_deg:g} to {grid.first_altitude_deg:g} degrees of altitude"
+        raise ValueError(f"a grid from {altitudes} and {around_deg:g} degrees around")
     for name in ("openness", "transmittance", "low", "high"):
         values = arrays[name][~np.isnan(arrays[name])]
         wrong = values[(values < -_ROUNDING) | (values > 1.0 + _ROUNDING)]
@@ -307,8 +304,7 @@ def _fine_edges(maps: Floats32, openness: Floats32, undecided: Mask, factor: int
         fine[edge] = np.where(open_share >= minimum, _enlarged(pane, factor), 0.0)[edge]
     # Slats of a lens's pixel look like a blurred edge, and a bar in a pixel between open ones can
     # be anywhere in it: the pixel's own bounds hold too.
-    bars = mixed & between(shown >= _OPEN_PIXEL)
-    doubted = _enlarged(bars | undecided | is_sharp, factor)
+    doubted = _enlarged((mixed & between(shown >= _OPEN_PIXEL)) | undecided | is_sharp, factor)
     out[1] = np.where(doubted, np.minimum(out[1], own[1]), out[1])  # low
     out[2] = np.where(doubted, np.maximum(out[2], own[2]), out[2])  # high
     return np.where(np.isnan(own), own, out)

@@ -126,9 +126,8 @@ def disc_lx(view: SkyView | None, setup: SiteFile, light: Light) -> Floats:
         best_lx, not_seen = disc.best_lx, disc.not_seen
     if not_seen.any():
         unseen = light[not_seen]
-        best_lx[not_seen] = (
-            room_shares(setup.room, unseen.apparent_sun_direction) * unseen.direct_lx
-        )
+        shares = room_shares(setup.room, unseen.apparent_sun_direction)
+        best_lx[not_seen] = shares * unseen.direct_lx
     return best_lx
 
 

@@ -23,9 +23,8 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import ArrayLike, Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import FieldlumError, InputError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import Panorama, SunSource

@@ -13,9 +13,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Ints32, Ints64, Mask
+from fieldlum.core.arrays import ArrayLike, Floats, Floats32, Indices, Ints32, Ints64, Mask
 from fieldlum.core.compiled import compiled
 from fieldlum.optics import projection
 
@@ -141,8 +140,7 @@ def panorama_views(
         hemisphere[:4, i] = weights.sum(axis=1)
         hemisphere[4, i] = (facing_sr / position_index(right, up) ** 2).sum()
         pixels[:, :, i] = (weights * is_seen).T
-    ahead = pixels[:, 1] > 0.0
-    return Views(azimuths, frames, pixels[:, 0], pixels[:, 1:], ahead, hemisphere)
+    return Views(azimuths, frames, pixels[:, 0], pixels[:, 1:], pixels[:, 1] > 0.0, hemisphere)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -111,8 +111,7 @@ def dgp_uncertainty(
     """
     ratio = contrast / np.maximum(ev_lx, 1e-6) ** 1.87
     slope = DGP_CONTRAST / np.log(10.0) * ratio / (1.0 + ratio)
-    from_ev = (DGP_EV * ev_lx + 1.87 * slope) * ev_relative
-    return np.hypot(from_ev, 2.0 * slope * source_relative)
+    return np.hypot((DGP_EV * ev_lx + 1.87 * slope) * ev_relative, 2.0 * slope * source_relative)
 
 
 def protection(
