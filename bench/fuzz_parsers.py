@@ -115,10 +115,12 @@ TOA5_HEAD = (
 
 def _toa5_row(data: bytes) -> Any:
     text = (TOA5_HEAD + data).decode("utf-8", "replace")
-    table = logger_files.parse_table(Path("a.dat"), text, timedelta(hours=-8), {}, {})
-    if len(table.samples) != 1 or table.left_out:
+    path, offset = Path("a.dat"), timedelta(hours=-8)
+    table = logger_files.text_table(path, text)
+    content = logger_files.read_rows(path, table, offset, {}, {})
+    if len(content.samples) != 1 or content.left_out:
         raise FieldlumError("left out")
-    return table.samples
+    return content.samples
 
 
 def parsers() -> list[Parser]:

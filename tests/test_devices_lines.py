@@ -42,7 +42,7 @@ from fieldlum.devices.cl200a import (
     unframe,
 )
 from fieldlum.devices.clock import FastClock
-from fieldlum.devices.logger_files import LoggerFile, parse_table
+from fieldlum.devices.logger_files import LoggerFile, read_rows, text_table
 
 START = datetime(2027, 3, 20, 15, tzinfo=UTC)
 CLOCK = FastClock(START)
@@ -375,7 +375,8 @@ TOA5 = (
 def parse_toa5(
     text: str, utc_offset: timedelta, columns: dict[str, str] | None = None
 ) -> LoggerFile:
-    return parse_table(Path("a.dat"), text, utc_offset, columns or {}, {})
+    path = Path("a.dat")
+    return read_rows(path, text_table(path, text), utc_offset, columns or {}, {})
 
 
 @pytest.mark.authority

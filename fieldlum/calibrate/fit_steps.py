@@ -23,7 +23,6 @@ from fieldlum.core.statistics import held_out_masks, is_no_worse, robust_sigma, 
 from fieldlum.optics import linear_light
 from fieldlum.optics.camera_curves import linearity_factor, vignetting_at
 from fieldlum.optics.images import calibration_mark
-from fieldlum.optics.linear_light import saturation_plateau
 from fieldlum.optics.profiles import CameraProfile, Lens, save_profile
 from fieldlum.optics.projection import angle_of_radius, direction, equirect_rays, relative_radius
 from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, read_jpeg, read_mosaic
@@ -321,7 +320,7 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
     rows, columns = (count // 2 * 2 for count in mosaic.counts.shape)
     # red, both greens, blue
     planes = [mosaic.counts[i:rows:2, j:columns:2] for i, j in channel_positions(mosaic.cfa)]
-    plateaus = [saturation_plateau(plane, mosaic.white_dn) for plane in planes]
+    plateaus = [linear_light.saturation_plateau(plane, mosaic.white_dn) for plane in planes]
     full = linear_light.full_dn(mosaic, profile, plateaus)
     bad = np.zeros(planes[0].shape, bool)
     shares = []

@@ -388,11 +388,9 @@ def fit(places: Places) -> ResponseFit:
 
     def misfit(_: str | float, tables: list[Floats], held: Mask) -> Floats:
         """Return the variance of each held-out place by the tables, as a mean over colours."""
-        of_colours = [
-            place_variances(t, codes[held, :, c], log_e, low) for c, t in enumerate(tables)
-        ]
-        count = np.isfinite(of_colours).sum(axis=0)
-        total = np.nansum(of_colours, axis=0)
+        spreads = [place_variances(t, codes[held, :, c], log_e, low) for c, t in enumerate(tables)]
+        count = np.isfinite(spreads).sum(axis=0)
+        total = np.nansum(spreads, axis=0)
         return np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
 
     model, tables, choice = fit_and_choose(

@@ -150,8 +150,7 @@ def spot_cdm2(
     if not len(values) or values.max() <= 0:
         remedy = "check the reading's azimuth (clockwise from north) and altitude (up)"
         raise InputError(file, f"the picture has no light {place}", "light", remedy)
-    spread = float(values.std() / values.mean() / np.sqrt(len(values)))
-    return float(trim_mean(values, 0.1)), spread
+    return float(trim_mean(values, 0.1)), float(values.std() / values.mean() / np.sqrt(len(values)))
 
 
 def fit(
@@ -177,9 +176,7 @@ def fit(
     is_outlier = np.abs(log_ratio - centre) > np.maximum(3.0 * u, MIN_OUTLIER)
     far = tuple(r.label for r, is_far in zip(readings, is_outlier, strict=True) if is_far)
     if len(far) > len(readings) / 3:  # the picture is wrong and not the readings
-        finding = (
-            f"{len(far)} of {len(readings)} readings differ from the fitted k by over 10 % and 3 u"
-        )
+        finding = f"{len(far)} of {n} readings differ from the fitted k by over 10 % and 3 u"
         remedy = "check azimuths (clockwise from north), one unit for all, and steady light"
         raise InputError(source, f"{finding}: {listed(far, 4)}", "at most a third", remedy)
     scatter = float((weight * (log_ratio - centre) ** 2).sum() / max(n - 1, 1))

@@ -111,7 +111,6 @@ class Camera(Device, ABC):
 
     def check_offered(self, exposure: Exposure) -> None:
         """Raise DeviceError, with the reason, for an exposure that the camera cannot take."""
-        return
 
     def exposure_taken(self, written: Path) -> Exposure | None:
         """Return the exposure of the newest frame, the file `written`; None if not reported."""

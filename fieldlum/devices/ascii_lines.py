@@ -126,9 +126,8 @@ def body_of(profile: AsciiProfile, line: bytes) -> str:
     ASCII text, or with a missing or wrong checksum.
     """
     if not line.endswith(b"\n") or len(line) > _MAX_LINE_BYTES:
-        raise _bad_line(
-            line, f"of {len(line)} bytes has no line feed, or over {_MAX_LINE_BYTES} bytes"
-        )
+        why = f"of {len(line)} bytes has no line feed, or over {_MAX_LINE_BYTES} bytes"
+        raise _bad_line(line, why)
     data = line.rstrip(b"\r\n")
     if not data.isascii() or any(byte < ord(" ") and byte != ord("\t") for byte in data):
         raise _bad_line(line, "has bytes that are not ASCII text")

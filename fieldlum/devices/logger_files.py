@@ -126,14 +126,14 @@ def read_logger_file(
         first_bytes = file.read(len(_NETCDF))
     options = (utc_offset, columns or {}, sensitivities or {})
     if first_bytes == _NETCDF:
-        logger_file = _read(path, _netcdf(path), *options)
+        logger_file = read_rows(path, _netcdf(path), *options)
     else:
         text = strict_csv.read_text(path, "a logger's file in csv or TOA5")
         if text.startswith(",".join(DAY_COLUMNS)):
             samples, damaged = read_day(path)
             logger_file = LoggerFile(tuple(samples), (f"{damaged} broken rows",) if damaged else ())
         else:
-            logger_file = parse_table(path, text, *options)
+            logger_file = read_rows(path, text_table(path, text), *options)
     _check_readable(path, logger_file)
     notes = logger_file.notes
     largest_wm2 = max(s.ghi_wm2 or s.dni_wm2 or s.dhi_wm2 or 0.0 for s in logger_file.samples)
@@ -167,27 +167,13 @@ def _check_readable(path: Path, logger_file: LoggerFile) -> None:
         raise InputError(path, found, "rows of irradiance", f"{remedy} (docs/devices.md)")
 
 
-def parse_table(
-    path: Path,
-    text: str,
-    utc_offset: timedelta | None,
-    columns: Mapping[str, str],
-    sensitivities: Mapping[str, float],
-) -> LoggerFile:
-    """Return the content of a TOA5 or csv table, in its order, also if few rows can be read.
-
-    text: content of the file; path: for errors; utc_offset: None if the times state a zone.
-    columns: name or number of the column of some quantities (ghi_wm2 ...); sensitivities: of
-    pyranometers whose column is a voltage, uV per W/m2. Raises InputError for a column that does
-    not exist, is ambiguous or has another unit, for times without a zone and without utc_offset,
-    and for dates whose day and month cannot be distinguished.
-    """
-    table = _toa5(path, text) if text.startswith(('"TOA5",', "TOA5,")) else _csv(path, text)
-    return _read(path, table, utc_offset, columns, sensitivities)
-
-
 # ----------------------------------------------------------------------------------------------
 # formats
+
+
+def text_table(path: Path, text: str) -> _Table:
+    """Return the text of a TOA5 or csv file as a table; path: for errors."""
+    return _toa5(path, text) if text.startswith(('"TOA5",', "TOA5,")) else _csv(path, text)
 
 
 def _toa5(path: Path, text: str) -> _Table:
@@ -255,8 +241,7 @@ def _header(lines: Sequence[strict_csv.Line]) -> tuple[int, str]:
         mark = _mark_of(line)
         with suppress(ValueError):
             names = strict_csv.split_row(line, mark)
-            has_time = {"stamp", "hour"} & set(map(_kind_of_time, names))
-            if len(names) > 1 and has_time:
+            if len(names) > 1 and {"stamp", "hour"} & set(map(_kind_of_time, names)):
                 counts_above = {line.count(mark) for _, line in lines[:above]}
                 return (0, ",") if line.count(mark) in counts_above else (above, mark)
     return 0, _mark_of(lines[0][1])
@@ -387,18 +372,20 @@ def _letters(name: str) -> str:
 # rows
 
 
-def _read(
+def read_rows(
     path: Path,
     table: _Table,
     utc_offset: timedelta | None,
     asked: Mapping[str, str],
     sensitivities: Mapping[str, float],
 ) -> LoggerFile:
-    """Return the samples of a table, and a text on each line that was not read.
+    """Return the samples of a table, in its order, and a text on each line that was not read.
 
-    path: for errors; utc_offset: the logger's clock minus UTC, None if it is not stated; asked:
-    column name by quantity, as the user states it; sensitivities: of a voltage, by quantity, uV per
-    W/m2. Raises InputError for a file whose columns, times or units are unclear.
+    path: for errors; utc_offset: the logger's clock minus UTC, None if the times state a zone;
+    asked: name or number of the column of some quantities (ghi_wm2 ...), as the user states it;
+    sensitivities: of pyranometers whose column is a voltage, uV per W/m2. Raises InputError for a
+    column that does not exist, is ambiguous or has another unit, for times without a zone and
+    without utc_offset, and for dates whose day and month cannot be distinguished.
     """
     names, count, by_commas = table.names, len(table.names), table.mark == ","
     if len(table.lines) > _MAX_ROWS:

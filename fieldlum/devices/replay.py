@@ -67,8 +67,7 @@ class ReplayCamera(Camera):
         """
         for i, (path, info) in enumerate(self._unused):
             # EXIF does not state a filter
-            is_same = same_exposure(info.exposure, exposure)
-            if is_same and info.exposure.nd in ("", exposure.nd):
+            if same_exposure(info.exposure, exposure) and info.exposure.nd in ("", exposure.nd):
                 del self._unused[i]
                 written = target.with_name(f"{target.name}{path.suffix.lower()}")
                 shutil.copyfile(path, written)

@@ -92,9 +92,8 @@ def agreed_sample(t_utc: datetime, ask: Callable[[], bytes]) -> IrradianceSample
         raise DeviceError(disagree if valid else why)
     total, diffuse = pairs[0][0]
     status = "total below diffuse" if total < diffuse - NOISE_WM2 else ""
-    return IrradianceSample(
-        t_utc=t_utc, ghi_wm2=total, dhi_wm2=diffuse, status=status, raw=" | ".join(texts)
-    )
+    raw = " | ".join(texts)
+    return IrradianceSample(t_utc, ghi_wm2=total, dhi_wm2=diffuse, status=status, raw=raw)
 
 
 def parse_status(reply: bytes) -> tuple[str, str]:
