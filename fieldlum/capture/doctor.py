@@ -14,11 +14,9 @@ from fieldlum.capture.steady_clock import synchronised
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import IrradianceSample, JsonTable, Site, Slot, listed
-from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.awake import kept_awake
 from fieldlum.devices.clock import Clock
 from fieldlum.optics import profiles
-from fieldlum.optics.profiles import CameraProfile, load_camera_profile
 from fieldlum.optics.raw import same_model
 from fieldlum.session import DEFAULT_GRACE_S, Session, check_writable, sha256
 from fieldlum.session.journal import damage_text, damaged_lines
@@ -190,7 +188,7 @@ def check_profile(session: Session, today: date) -> Iterator[Finding]:
     person turns the camera, are warnings. Raises InputError for an unreadable profile.
     """
     setup = session.site_file()
-    profile = load_camera_profile(setup.camera.profile)
+    profile = profiles.load_camera_profile(setup.camera.profile)
     yield from (warn("camera", text) for text in profiles.assumed_texts(setup.camera))
     if "profile" not in setup.camera.assumed:
         yield judge_age(profile, today)
@@ -200,7 +198,7 @@ def check_profile(session: Session, today: date) -> Iterator[Finding]:
     yield from (warn(what, t) for what, t in (("coverage", blind), ("headings", turning)) if t)
 
 
-def judge_age(profile: CameraProfile, today: date) -> Finding:
+def judge_age(profile: profiles.CameraProfile, today: date) -> Finding:
     """Return a finding on a profile's age.
 
     A failure if it has expired, a warning if it was never calibrated or over two years ago. today:
@@ -218,7 +216,7 @@ def judge_age(profile: CameraProfile, today: date) -> Finding:
     return ok("profile", f"{name}, calibrated {calibrated}")
 
 
-def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> Iterator[Finding]:
+def judge_calibration(profile: profiles.CameraProfile, slots: Sequence[Slot]) -> Iterator[Finding]:
     """Yield a failure for planned apertures without a scale, and one for unknown filters.
 
     The scale is the profile's factor k of each calibrated aperture. slots: whose planned exposures
@@ -271,7 +269,7 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> Iterator[Find
         if setup.headings and camera.info.kind not in ("sim", "replay"):
             yield fail("headings", "capture cannot turn this camera, so each bracket would abort")
         yield from judge_exposures(devices.not_offered(camera, exposures), len(exposures))
-        yield from judge_model(camera.info, load_camera_profile(setup.profile))
+        yield from judge_model(camera.info, profiles.load_camera_profile(setup.profile))
 
 
 def judge_exposures(refused: Sequence[str], planned: int) -> Iterator[Finding]:
@@ -285,7 +283,7 @@ def judge_exposures(refused: Sequence[str], planned: int) -> Iterator[Finding]:
         yield fail("camera", f"{text}(fieldlum plan SITE.toml --out NEW)")
 
 
-def judge_model(info: CameraInfo, profile: CameraProfile) -> Iterator[Finding]:
+def judge_model(info: devices.CameraInfo, profile: profiles.CameraProfile) -> Iterator[Finding]:
     """Yield a warning if the camera's model is not that of the profile, else nothing.
 
     Frames of another camera cannot be merged, and the planned exposures may be impossible.
@@ -299,7 +297,7 @@ def judge_model(info: CameraInfo, profile: CameraProfile) -> Iterator[Finding]:
         yield warn("profile", text)
 
 
-def judge_camera(info: CameraInfo, uri: str, frames: int) -> Iterator[Finding]:
+def judge_camera(info: devices.CameraInfo, uri: str, frames: int) -> Iterator[Finding]:
     """Yield the findings about a camera's name, clock and card.
 
     uri: of the camera, for the text; frames: number of planned frames. For the clock see
@@ -361,7 +359,7 @@ def check_meter(uri: str) -> Iterator[Finding]:
 
 
 def judge_pyranometer(
-    info: InstrumentInfo, sample: IrradianceSample, site: Site
+    info: devices.InstrumentInfo, sample: IrradianceSample, site: Site
 ) -> Iterator[Finding]:
     """Yield findings on a pyranometer: its reading, its faults, and the age of its calibration.
 

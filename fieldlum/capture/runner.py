@@ -18,7 +18,6 @@ from fieldlum.capture.reconnect import Keeper, error_text, plain_info
 from fieldlum.capture.steady_clock import SteadyClock, boot_id, synchronised
 from fieldlum.core.errors import DeviceError, InputError, NotEnoughDataError
 from fieldlum.core.records import Slot, parse_utc
-from fieldlum.devices import Camera, Device, IlluminanceMeter, Pyranometer
 from fieldlum.devices.clock import Clock, FastClock
 from fieldlum.session import DEFAULT_GRACE_S, Session, disk_is_full, slot_states, sole_user
 from fieldlum.session.files.capture_json import Frame
@@ -119,9 +118,9 @@ def run(
     meter_uri: str = "",
     trusted: Callable[[], bool | None] = synchronised,
     listen: Listen = lambda event, t_utc, fields: None,
-    open_cam: Callable[[], Camera] | None = None,
-    open_pyr: Callable[[], Pyranometer] | None = None,
-    open_met: Callable[[], IlluminanceMeter] | None = None,
+    open_cam: Callable[[], devices.Camera] | None = None,
+    open_pyr: Callable[[], devices.Pyranometer] | None = None,
+    open_met: Callable[[], devices.IlluminanceMeter] | None = None,
 ) -> slot_states.SlotStates:
     """Take the bracket of each slot until every slot has an outcome; return the slots' states.
 
@@ -139,12 +138,11 @@ def run(
     """
     uris = {"camera": camera_uri, "pyranometer": pyranometer_uri, "meter": meter_uri}
     how: dict[str, Any] = {"clock": clock, "session": session}
-    openers: dict[str, Callable[[], Device]] = {}
+    openers: dict[str, Callable[[], devices.Device]] = {}
     openers["camera"] = open_cam or partial(devices.open_camera, camera_uri, **how)
     if pyranometer_uri or open_pyr:
-        openers["pyranometer"] = open_pyr or partial(
-            devices.open_pyranometer, pyranometer_uri, **how
-        )
+        own = partial(devices.open_pyranometer, pyranometer_uri, **how)
+        openers["pyranometer"] = open_pyr or own
     if meter_uri or open_met:
         openers["meter"] = open_met or partial(devices.open_meter, meter_uri, **how)
     logs = sole_user(session, "log") if "pyranometer" in openers else nullcontext()
@@ -182,7 +180,7 @@ def refuse_past_plan(
 
 
 def refuse_unavailable_exposures(
-    camera: Camera, slots: Sequence[Slot], states: Mapping[str, slot_states.SlotState]
+    camera: devices.Camera, slots: Sequence[Slot], states: Mapping[str, slot_states.SlotState]
 ) -> None:
     """Raise DeviceError if the camera cannot be set to some planned exposures.
 
@@ -215,7 +213,7 @@ class _Runner:
     watch: Watch
     checks: FrameChecks
     listen: Listen
-    openers: Mapping[str, Callable[[], Device]]
+    openers: Mapping[str, Callable[[], devices.Device]]
 
     def __post_init__(self) -> None:
         """Read plan and journal, refuse a wrong clock and a past plan, and prepare the devices."""
@@ -235,8 +233,8 @@ class _Runner:
             session, clock.now, options.reserve_bytes, flush=options.flush, listen=self.listen
         )
         keepers = {name: self._keeper(name) for name in self.openers}
-        self.camera: Keeper[Camera] = keepers["camera"]
-        self.meter: Keeper[IlluminanceMeter] | None = keepers.get("meter")
+        self.camera: Keeper[devices.Camera] = keepers["camera"]
+        self.meter: Keeper[devices.IlluminanceMeter] | None = keepers.get("meter")
         self.logger: Logger | None = None
         if pyranometer := keepers.get("pyranometer"):
             self.logger = Logger(pyranometer, self.recorder, clock, options.log_every_s)

@@ -68,9 +68,8 @@ def command(
 
     camera_uri, pyranometer_uri, meter_uri = device_uris(session, camera, pyranometer, meter)
     if not camera_uri:
-        raise click.UsageError(
-            "name a camera, for example --camera gphoto: (or --camera sim:office?seed=1 to try it)"
-        )
+        example = "--camera gphoto: (or --camera sim:office?seed=1 to try it)"
+        raise click.UsageError(f"name a camera, for example {example}")
     if notify_picture and not notify:
         raise click.UsageError("--notify-picture is sent to the addresses of --notify: state them")
     if pyranometer is None and not pyranometer_uri:

@@ -59,9 +59,8 @@ def command(
           certain).
     """
     if budget_path is not None and (view_options or part or calibrate_ev_lx is not None):
-        raise click.UsageError(
-            "--budget is of a picture as stored: no --view, --part, --calibrate-ev"
-        )
+        text = "--budget is of a picture as stored: no --view, --part, --calibrate-ev"
+        raise click.UsageError(text)
     new_files(csv_path, budget_path, force=force)
     from fieldlum.core.errors import InputError, NotEnoughDataError
     from fieldlum.session import open_session

@@ -41,10 +41,8 @@ def _column(text: str) -> tuple[str, str]:
 
     quantity, _, name = text.partition("=")
     if quantity not in QUANTITIES or not name:
-        raise ValueError(
-            f"{text} is not QUANTITY=COLUMN: write, for example, ghi_wm2=SlrW_Avg; quantities are "
-            f"{', '.join(QUANTITIES)}"
-        )
+        remedy = "write, for example, ghi_wm2=SlrW_Avg; quantities are"
+        raise ValueError(f"{text} is not QUANTITY=COLUMN: {remedy} {', '.join(QUANTITIES)}")
     return quantity, name
 
 

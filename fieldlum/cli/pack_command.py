@@ -47,8 +47,7 @@ def command(
     except InvalidLicenseExpression as error:
         remedy = f"{error}; write an SPDX identifier, like CC-BY-4.0"
         raise click.BadParameter(remedy, param_hint="--licence") from error
-    statement = Statement(title, authors, spdx, publisher, people)
     with progress("packing"):
-        cautions = pack(session, archive, statement)
+        cautions = pack(session, archive, Statement(title, authors, spdx, publisher, people))
     notes(cautions)
     click.echo(str(archive))

@@ -33,10 +33,8 @@ def command(session: OpenSession, scheduler: Any = "local", force: bool = False)
         f"{counted(health.rows, 'row')} of irradiance"
     )
     if (view := SkyView.find(session.sky_view)) is not None:
-        terminal.say(
-            f"sky view of {counted(view.captures, 'capture')}, which decides when the sun's disc "
-            f"is seen: look at {session.sky_view.with_suffix('.png')}"
-        )
+        seen = f"sky view of {counted(view.captures, 'capture')}, which decides when the sun's disc"
+        terminal.say(f"{seen} is seen: look at {session.sky_view.with_suffix('.png')}")
         terminal.notes(view.notes)
     refused = (row.why for row in pairs if not row.ok)
     cautions = (text for row in pairs if row.ok for text in row.why.split("; ") if text)

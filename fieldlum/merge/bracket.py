@@ -63,8 +63,7 @@ def floating_white_balance(shots: Sequence[Shot], profile: CameraProfile) -> str
     """
     if profile.camera.kind == "raw" or not profile.colour.melanopic_from_rgb:
         return ""
-    names = (shot.path.name for shot in shots if not white_balance_is_fixed(shot.path))
-    return next(names, "")
+    return next((shot.path.name for shot in shots if not white_balance_is_fixed(shot.path)), "")
 
 
 def report_of(
@@ -79,7 +78,6 @@ def report_of(
     pairs = [n for part in parts for n in part.exposures.neighbours]
     turns = [turn for part in parts for turn in part.turns]
     surest = max(turns, key=lambda turn: turn.sure_px, default=None)
-    variance_factor = max(factor for part in parts for factor in part.noise)
     return MergeReport(
         frames=tuple(frame for part in parts for frame in _frames(part)),
         neighbours=tuple(pairs),
@@ -90,7 +88,7 @@ def report_of(
         **_shares_percent(flags, target),
         exposure_span_percent=float(100 * max(np.ptp(p.exposures.log_deviation) for p in parts)),
         deviations=tuple(filter(None, (_deviation_text(part.exposures) for part in parts))),
-        noise_over_profile=float(np.sqrt(variance_factor)),
+        noise_over_profile=float(np.sqrt(max(factor for part in parts for factor in part.noise))),
         plateau_dn={f"{iso:g}": dn for iso, dn in parts[0].saturation.plateau_dn.items()},
         black_off_dn=max((p.saturation.black_off_dn for p in parts), key=abs),
         shutter_law=parts[0].exposures.law,
@@ -186,35 +184,25 @@ def _camera_notes(report: MergeReport) -> Iterator[str]:
         )
     if report.orientation_conflict:
         yield report.orientation_conflict
-    if abs(report.black_off_dn) > 1.0:
-        yield (
-            f"the files' black level differs from the profile's by {report.black_off_dn:+.1f} DN: "
-            "check that the profile belongs to this camera"
-        )
+    if abs(off_dn := report.black_off_dn) > 1.0:
+        remedy = "check that the profile belongs to this camera"
+        yield f"the files' black level differs from the profile's by {off_dn:+.1f} DN: {remedy}"
     if report.noise_over_profile > 1.0:
-        yield (
-            f"noise is {report.noise_over_profile:.1f} times the profile's, and u contains it: "
-            "check gain_e_per_dn and read_noise_e of the profile"
-        )
+        found = f"noise is {report.noise_over_profile:.1f} times the profile's, and u contains it"
+        yield f"{found}: check gain_e_per_dn and read_noise_e of the profile"
     for turn in (turn for turn in report.shifts if turn.sure_px > 1.0):
-        yield (
-            f"the camera turned by {turn.turn_deg:.2f} deg ({turn.shift_px:.1f} px) between "
-            f"{turn.long} and {turn.short}: fix the tripod and capture again"
-        )
+        found = f"the camera turned by {turn.turn_deg:.2f} deg ({turn.shift_px:.1f} px) between "
+        yield f"{found}{turn.long} and {turn.short}: fix the tripod and capture again"
 
 
 def _view_notes(report: MergeReport) -> Iterator[str]:
     """Yield cautions about parts of the view that are clipped, in motion or below noise."""
     if clipped := report.clipped_percent:
-        yield (
-            f"clipped in every frame: {clipped:.3g} % of the view: add shorter exposures, unless "
-            "it is the sun"
-        )
+        remedy = "add shorter exposures, unless it is the sun"
+        yield f"clipped in every frame: {clipped:.3g} % of the view: {remedy}"
     if (motion := report.motion_percent or 0.0) > 2.0:
-        yield (
-            f"motion in {motion:.1f} % of the view: people, leaves or clouds moved between frames: "
-            "capture the bracket again"
-        )
+        cause = "people, leaves or clouds moved between frames"
+        yield f"motion in {motion:.1f} % of the view: {cause}: capture the bracket again"
     if (below := report.below_noise_percent or 0.0) > 5.0:
         yield f"below noise: {below:.1f} % of the view in every frame: add longer exposures"
 

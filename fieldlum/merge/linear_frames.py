@@ -155,8 +155,7 @@ class RawSignal:
         is saturated.
         """
         above = self._linear(self.counts[first:last] - self.black)
-        around = self.counts[max(first - 1, 0) : last + 1]
-        if around.max(initial=0) < self._any_full:
+        if self.counts[max(first - 1, 0) : last + 1].max(initial=0) < self._any_full:
             return above, None
         return above, self._near_full(first, last)
 

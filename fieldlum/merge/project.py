@@ -94,8 +94,7 @@ def _samples(
     if isinstance(target, Equirect):
         # zenith angles of these rows' upper and lower edge; a pixel is widest at the horizon
         top, bottom = (np.array(rows, float) + target.corner[0]) / target.height * np.pi
-        widest = np.sin(np.clip(np.pi / 2.0, top, bottom))
-        across = max(3, int(np.ceil(sub * widest)))
+        across = max(3, int(np.ceil(sub * np.sin(np.clip(np.pi / 2.0, top, bottom)))))
     sub, across = (-(-count // cells) * cells for count in (sub, across))  # rounded up
     down = first + (np.arange((last - first) * sub) + 0.5) / sub  # places in rows of the target
     along = (np.arange(width * across) + 0.5) / across  # places in columns

@@ -217,12 +217,10 @@ def merge_sensor(
     shots, absent = _without_absent_filters(shots, profile, crop)
     nominal_s = [shot.exposure.shutter_s for shot in shots]
     law = stated_law(nominal_s, profile.shutter_law, profile.camera.model)
-    read_with = replace(profile, shutter_law=law.law)
-    frames, saturation = read_frames(shots, read_with, crop)
+    frames, saturation = read_frames(shots, replace(profile, shutter_law=law.law), crop)
     lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]
-    turns = turns_between(
-        [frame.reduced_frame() for frame in frames], lenses, [s.path.name for s in shots]
-    )
+    names = [shot.path.name for shot in shots]
+    turns = turns_between([frame.reduced_frame() for frame in frames], lenses, names)
     fits = is_raw if fit is None else fit
     frames, exposures, samples = exposures_of(frames, shots, profile, law, fits)
     noise = noise_factors(samples, exposures.fit.correction) if fits else NOISE_OF_PROFILE

@@ -221,8 +221,7 @@ def sky_cut(
             continue
         used = np.kron(tiles, np.ones((side, side), bool))
         place = ((first + i) * side, (left + j) * side, *used.shape)
-        part = Equirect(180 // _TILE_DEG * side, place)
-        of_block, clipped_in_block = _block(views, part, target)
+        of_block, clipped_in_block = _block(views, Equirect(180 // _TILE_DEG * side, place), target)
         into = np.s_[i * side : (i + step) * side, j * side : (j + step) * side]
         light_cdm2[into] = np.where(used, of_block, np.nan)
         clipped[into] = used & clipped_in_block

@@ -135,8 +135,7 @@ def load_site(path: Path) -> SiteFile:
         height = camera.get("height_m", room.get("camera_z_m", CameraSetup().height_m))
         if room.setdefault("camera_z_m", height) != camera.setdefault("height_m", height):
             found = f"[camera] height_m = {height} and [room] camera_z_m = {room['camera_z_m']}"
-            remedy = "remove one of the two keys"
-            raise InputError(path, found, "one height of the camera", remedy)
+            raise InputError(path, found, "one height of the camera", "remove one of the two keys")
     setup = site_from_table(table, str(path))
     if wrong := wrong_sign_text(setup.site):
         remedy = "correct the sign (north and east are positive), or state a nearer time zone"
