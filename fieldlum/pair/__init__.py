@@ -110,9 +110,8 @@ def _bracket_of(session: Session, path: Path) -> BracketInterval:
         with input_errors(path, expected, remedy, ValueError):
             middle = (sidecar.t_utc if sidecar else None) or parse_utc(slot)
             half = timedelta(seconds=15)
-            capture = CaptureFile(
-                slot=slot, frames=(), t_open_utc=middle - half, t_close_utc=middle + half
-            )
+            start, end = middle - half, middle + half
+            capture = CaptureFile(slot=slot, frames=(), t_open_utc=start, t_close_utc=end)
     camera = (str(capture.camera.get(key, "")) for key in ("model", "serial", "lens"))
     return BracketInterval(
         slot,

@@ -120,8 +120,7 @@ def write_sky_view(
     except NotEnoughDataError:
         session.sky_view.unlink(missing_ok=True)
         return None
-    notes = (*view.notes, *_notes_on_heading(captures, light))
-    view = replace(view, inputs=inputs, notes=notes)
+    view = replace(view, inputs=inputs, notes=(*view.notes, *_notes_on_heading(captures, light)))
     view.write(session.sky_view)
     suns = view.pose.in_pictures(light.apparent_sun_direction[shares != 0.0])
     overcast = captures[int(np.argmax(light.dhi_wm2 - light.dni_wm2))].slot
@@ -202,8 +201,7 @@ def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
     altitude, azimuth = altitude_azimuth_deg(suns)
     middle = panorama.heading_deg
     with styled():
-        size = (10.0, 1.6 + 9.0 * (top - bottom + 10.0) / (right - left + 10.0))
-        figure = new_figure(*size)
+        figure = new_figure(10.0, 1.6 + 9.0 * (top - bottom + 10.0) / (right - left + 10.0))
         axes = figure.subplots()
         for turn in (0.0, 360.0):  # a view can cross the panorama's edge
             extent = (middle - 180.0 + turn, middle + 180.0 + turn, -90.0, 90.0)

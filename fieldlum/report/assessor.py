@@ -44,10 +44,8 @@ def _requirements(annual: Annual, zone: str, texts: Sequence[Mapping[str, str]])
     limit, ends = dict(CLASSES)["minimum"], [(row.low, row.high) for row in directions]
     low, high = np.array(ends, float).reshape(-1, 2).T  # of the DGP in 5 %; NaN where unknown
     met, exceeded = int((high <= limit).sum()), int((low > limit).sum())
-    leed = (
-        f"{met} of {len(directions)} directions exceed it in at most 5 % of the hours, "
-        f"{exceeded} in more, {len(directions) - met - exceeded} cannot be decided"
-    )
+    others = f"{exceeded} in more, {len(directions) - met - exceeded} cannot be decided"
+    leed = f"{met} of {len(directions)} directions exceed it in at most 5 % of the hours, {others}"
     edi = well = "cannot tell: no melanopic colour was measured"
     if sections.has_melanopic(annual):
         shares = zip(sections.melanopic_shares(annual, zone), annual.judged, strict=True)

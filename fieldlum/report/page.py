@@ -117,9 +117,8 @@ class Quantity(NamedTuple):
     digits: int = 0
 
 
-DGP = Quantity(
-    "DGP", "", 0.001, (0.35, 0.40, 0.45), ("#cfe6dc", "#f2d16b", "#e58a2b", "#b03427"), 2
-)
+_DGP_COLOURS = ("#cfe6dc", "#f2d16b", "#e58a2b", "#b03427")
+DGP = Quantity("DGP", "", 0.001, (0.35, 0.40, 0.45), _DGP_COLOURS, 2)
 _LX_COLOURS = ("#20233a", "#3b3a78", "#6a4c93", "#a8628f", "#d98880", "#f0b68a", "#fbe3b0")
 _LX = (100.0, 300.0, 500.0, 1000.0, 2000.0, 4000.0)  # chosen
 EV = Quantity("Vertical illuminance", " lx", 10.0, _LX, _LX_COLOURS)

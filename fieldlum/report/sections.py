@@ -81,14 +81,13 @@ def polar(annual: Annual) -> Figure:
     # [d, 4], NaN where unknown
     figures = np.array([(r.azimuth_deg, r.dgp_exceeded, r.low, r.high) for r in rows], float)
     each = (f"{direction_name(row.azimuth_deg)} {exceeded_text(row, NOT_SEEN)}" for row in rows)
-    spoken = ", ".join(each)
     what = "DGP exceeded in 5 % of the occupied hours, by view direction"
     band = "" if np.isnan(figures[:, 2]).all() else " The grey band is its 95 % interval."
     return Figure(
         page.polar_svg(*figures.T),
         f"The {what}; the rings are the limits 0.35, 0.40, 0.45.{band} Nearer the middle is "
         "better; values above 0.60 are drawn at the rim.",
-        f"Polar plot, north up, of the {what}: {spoken}.",
+        f"Polar plot, north up, of the {what}: {', '.join(each)}.",
     )
 
 

@@ -101,8 +101,7 @@ def save_room(session: Session, clicked: ClickedRoom, *, replace_room: bool) -> 
     if setup.room is not None and setup.room.kind == "box":
         clicked_values = {name: getattr(room, name) for name in (*_CLICKED_FIELDS, "camera_z_m")}
         room = replace(setup.room, window=room.window, **clicked_values)
-    camera = replace(setup.camera, height_m=room.camera_z_m)
-    new_setup = replace(setup, room=room, camera=camera)
+    new_setup = replace(setup, room=room, camera=replace(setup.camera, height_m=room.camera_z_m))
     path = session.root / "scene" / "clicked.toml"
     lines = ["# Written by fieldlum scene click. Standard uncertainties, from the clicks' pixels:"]
     lines += [f"#   {name} +- {u:.3g}" for name, u in clicked.u.items()]
@@ -181,8 +180,7 @@ def _click_route(
         KeyError, TypeError or ValueError for a missing or wrong key.
         """
         clicks, height_m = clicks_from_rows(body["clicks"]), float(body["camera_height_m"])
-        clicked = room_from_clicks(clicks, grid, height_m)
-        return use(clicked, body.get("replace") is True)
+        return use(room_from_clicks(clicks, grid, height_m), body.get("replace") is True)
 
     async def handle(request: Request) -> Response:
         """Answer a request with the result of `answer` as JSON, or {"error": sentence}.

@@ -246,11 +246,9 @@ def watch_routes(
         static_route("/", "watch.html"),
         static_route("/watch.js", "watch.js"),
         static_route("/page.css", "page.css"),
-        Route("/state.json", lambda request: _json_response(state)),
-        Route(
-            "/answer.json", lambda request: _json_response(lambda: answer_table(session, worker))
-        ),
-        Route("/calendar.json", lambda request: _json_response(snapshots.calendar)),
+        Route("/state.json", lambda _: _json_response(state)),
+        Route("/answer.json", lambda _: _json_response(lambda: answer_table(session, worker))),
+        Route("/calendar.json", lambda _: _json_response(snapshots.calendar)),
         Route("/day/{day}.json", day),
         *picture_routes(session),
     ]

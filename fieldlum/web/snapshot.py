@@ -522,8 +522,7 @@ class Snapshots:
 
     def _devices(self, journal: JournalFollower) -> JsonTable:
         """Return the camera as session.toml records it, and since when devices are away."""
-        table = self._session.table().get("devices", {})
-        camera = table.get("camera", {})
+        camera = self._session.table().get("devices", {}).get("camera", {})
         offset_s = camera.get("clock_offset_s")
         # The file may have been edited: a text or a huge number is ignored.
         is_known = isinstance(offset_s, int | float) and abs(offset_s) < 1e9
@@ -550,8 +549,7 @@ class Snapshots:
             if rows and rows[-1]["text"] == text:
                 rows[-1]["times"] += 1
             elif text:
-                local = parse_utc(event["t_utc"]).astimezone(self._zone)
-                at = f"{local:%a %d %b %H:%M}"
+                at = f"{parse_utc(event['t_utc']).astimezone(self._zone):%a %d %b %H:%M}"
                 rows.append({"level": level, "text": text, "local": at, "times": 1})
         return rows[:25]  # about a screen
 

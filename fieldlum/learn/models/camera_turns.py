@@ -93,8 +93,7 @@ def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[fl
     heading = np.radians(heading_deg)
     right = (np.cos(heading), -np.sin(heading), 0.0)
     forward = (np.sin(heading), np.cos(heading), 0.0)
-    axes = np.array(((0.0, 0.0, -1.0), right, forward))
-    vector = -np.radians(angles_deg) @ axes
+    vector = -np.radians(angles_deg) @ np.array(((0.0, 0.0, -1.0), right, forward))
     return rays @ Rotation.from_rotvec(vector).as_matrix().T
 
 
@@ -400,10 +399,8 @@ def turn_notes(turns: CameraTurns, days: Dates) -> list[str]:
         u = np.median(turns.u_deg[rows], axis=0)
         names = ("heading", "tilt", "roll")
         parts = [f"{n} {a:+.2f} +- {e:.2f}" for n, a, e in zip(names, pose, u, strict=True)]
-        notes.append(
-            f"the camera was turned, relative to most captures, in {_captures(rows, days)} by "
-            f"{', '.join(parts)} degrees; the pictures were turned back in memory"
-        )
+        text = f"the camera was turned, relative to most captures, in {_captures(rows, days)} by "
+        notes.append(f"{text}{', '.join(parts)} degrees; the pictures were turned back in memory")
     if not turns.aligned.all():
         notes.append(
             f"WARNING: not used: {_captures(~turns.aligned, days)} that cannot be aligned with the "

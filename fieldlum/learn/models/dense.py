@@ -519,9 +519,8 @@ def affordable_run(trainer: Trainer, budget_s: float | None) -> Run:
         speed = rank_0_value(trainer.pixels_per_s(), trainer.pixels.target.device)
         pixels = min(pixels, speed * budget_s)
     if pixels < count:
-        raise NotEnoughDataError(
-            "no time to train the network on every pixel of the captures once; raise --budget"
-        )
+        found = "no time to train the network on every pixel of the captures once"
+        raise NotEnoughDataError(f"{found}; raise --budget")
     batch = int(np.clip(pixels / STEPS, MIN_BATCH, trainer.largest))
     return Run(max(EPOCHS, int(pixels / batch)), batch)
 

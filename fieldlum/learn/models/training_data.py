@@ -172,9 +172,8 @@ def sun_of_rows(path: Path, rows: Sequence[PairRow], site: Site) -> tuple[Floats
         for row, value in zip(rows, values, strict=True):
             if (line := first.setdefault(value, row.line)) != row.line:
                 finding = f"lines {line} and {row.line} have the same {kind}"
-                raise InputError(
-                    path, finding, "each bracket once", "remove one, or set its ok = 0"
-                )
+                remedy = "remove one, or set its ok = 0"
+                raise InputError(path, finding, "each bracket once", remedy)
     position = sun.position(times, site)
     altitude, azimuth = position.altitude_deg, position.azimuth_deg
     stated = np.array([(row.sun_altitude_deg, row.sun_azimuth_deg) for row in rows]).T  # [2, n]
@@ -220,10 +219,8 @@ def _check_irradiance(path: Path, rows: Sequence[PairRow], altitude_deg: Floats)
     ):
         if (wrong & high).any():
             k = int(np.argmax(wrong & high))
-            finding = (
-                f"line {rows[k].line} has {finding}: DNI {dni[k]:g}, "
-                f"DHI {dhi[k]:g} W/m2 with the sun at {altitude_deg[k]:.0f} deg"
-            )
+            light = f"DNI {dni[k]:g}, DHI {dhi[k]:g} W/m2 with the sun at {altitude_deg[k]:.0f} deg"
+            finding = f"line {rows[k].line} has {finding}: {light}"
             remedy = f"check whether the column contains {remedy}; otherwise set ok = 0"
             raise InputError(path, finding, "possible irradiance in W/m2", remedy)
     sunny = (beam > 0.2 * (dhi + beam)) & high
@@ -307,10 +304,9 @@ def load_pairs(where: Path | Session, site: Path | None = None) -> Dataset:
         notes.append(f"captures without irradiance are not used: {named}")
         rows = [row for row in rows if row.dni_wm2 + row.dhi_wm2 > 0.0]
     if not rows:
-        raise NotEnoughDataError(
-            f"{path}: no usable row; expected a row with ok = 1 and irradiance above 0; see the "
-            "column 'why', correct the cause and run fieldlum pair again"
-        )
+        finding = "no usable row; expected a row with ok = 1 and irradiance above 0"
+        remedy = "see the column 'why', correct the cause and run fieldlum pair again"
+        raise NotEnoughDataError(f"{path}: {finding}; {remedy}")
     return _assemble(path, rows, setup, notes)
 
 
@@ -332,8 +328,7 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
     )
     data, has_value = read_pictures(path, rows, setup, light)
     heading, days = data.heading_deg, data.days
-    maps = np.nan_to_num(data.luminance_cdm2)
-    turns = camera_turns(maps, data.seen, heading)
+    turns = camera_turns(np.nan_to_num(data.luminance_cdm2), data.seen, heading)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
         at = (float(light.apparent_altitude_deg[k]), float(azimuth[k]))
         take_disc_out(data, k, at, shown_place(*at, heading, turns.angles_deg[k]))
@@ -561,10 +556,9 @@ def fill_gaps(maps: Floats32, has_value: Mask) -> tuple[Mask, int]:
     """
     seen_mask = has_value.mean(axis=0) > 0.8
     if not seen_mask.any():
-        raise NotEnoughDataError(
-            "no pixel has a value in over 80 % of the panoramas; check that "
-            "all panoramas are from one camera position"
-        )
+        finding = "no pixel has a value in over 80 % of the panoramas"
+        remedy = "check that all panoramas are from one camera position"
+        raise NotEnoughDataError(f"{finding}; {remedy}")
     gaps = ~has_value & seen_mask
     for i, j in np.argwhere(gaps.any(axis=0)):
         maps[gaps[:, i, j], i, j] = np.median(maps[has_value[:, i, j], i, j])

@@ -445,9 +445,7 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
     """
     notes = list(data.notes)
     if len(np.unique(data.days)) == 1:
-        notes.append(
-            "all hours are from one day, so that the scores are too good: capture more days"
-        )
+        notes += ["all hours are from one day, so that the scores are too good: capture more days"]
     # A scene without patches was chosen on purpose and has its own note.
     if patch == "none" and data.patch_cdm2 is None and data.scene is None:
         notes.append("no sun patches in the data: add a [room] to SITE.toml and run fieldlum pair")

@@ -155,8 +155,7 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
     without_dni = np.isfinite(ghi) & np.isfinite(dhi) & np.isnan(dni)
     marks[without_dni & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
     computed = np.minimum(sun.dni_by_closure(ghi, dhi, altitude), top)
-    faint = _is_faint(series.t_unix_s, ghi - dhi) & (altitude >= sun.LOW_SUN_DEG)
-    computed[faint] = 0.0
+    computed[_is_faint(series.t_unix_s, ghi - dhi) & (altitude >= sun.LOW_SUN_DEG)] = 0.0
     dni = np.where(without_dni, computed, dni)
     without_dhi = np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi)
     dhi = np.where(without_dhi, sun.dhi_by_closure(ghi, dni, altitude), dhi)
@@ -270,8 +269,7 @@ def minute_means(t_unix_s: Floats, value: Floats) -> tuple[Floats, Floats, Integ
     rows are omitted, but a gap of over half an hour gets one minute of NaN, so that values on its
     two sides are not neighbours.
     """
-    minute = np.floor(t_unix_s / 60.0).astype(np.int64)
-    present, row_minute = np.unique(minute, return_inverse=True)
+    present, row_minute = np.unique(np.floor(t_unix_s / 60.0).astype(np.int64), return_inverse=True)
     finite = np.isfinite(value)
     count = np.bincount(row_minute[finite], minlength=len(present))
     total = np.bincount(row_minute[finite], weights=value[finite], minlength=len(present))
@@ -359,7 +357,6 @@ def health(
     clock_off = clock_off_s(raw.t_unix_s, raw.ghi_wm2, site)
     counts = {mark: int(np.sum((clean.marks & mark) != 0)) for mark in Mark}
     of_log = _of_log(offset, passed, clock_off, damaged)
-    levels = _of_level(raw, altitude, site)
     return Health(
         rows=len(clean),
         broken_lines=damaged,
@@ -371,7 +368,7 @@ def health(
         closure_pass=passed,
         clock_off_s=clock_off,
         marks={(mark.name or "").lower(): count for mark, count in counts.items() if count},
-        warnings=(*of_log, *levels, *_of_day(clean, altitude, top)),
+        warnings=(*of_log, *_of_level(raw, altitude, site), *_of_day(clean, altitude, top)),
     )
 
 
@@ -403,10 +400,8 @@ def _of_log(
             "the file again"
         )
     if damaged:
-        yield (
-            f"skipped in irradiance/YYYY-MM-DD.csv: {counted(damaged, 'damaged line')}; check the "
-            "disk, and do not edit these files"
-        )
+        remedy = "check the disk, and do not edit these files"
+        yield f"skipped in irradiance/YYYY-MM-DD.csv: {counted(damaged, 'damaged line')}; {remedy}"
 
 
 def _of_level(raw: Series, altitude: Floats, site: Site) -> Iterator[str]:
