@@ -24,11 +24,18 @@ from fieldlum.core.strict_toml import Positive
 # panoramas
 
 
-def equirect_solid_angles(height: int, width: int) -> Floats:
-    """Return the solid angle of each pixel of a panorama, in sr, [height, width]; in all 4 pi."""
+def row_solid_angles(height: int, width: int) -> Floats:
+    """Return the solid angle of one pixel of each row of a panorama, in sr, [H].
+
+    height, width: H, W in pixels; all pixels sum to 4 pi.
+    """
     edges = np.cos(np.linspace(0.0, np.pi, height + 1))
-    of_rows = (edges[:-1] - edges[1:]) * 2.0 * np.pi / width
-    return np.repeat(of_rows[:, None], width, axis=1)
+    return (edges[:-1] - edges[1:]) * 2.0 * np.pi / width
+
+
+def equirect_solid_angles(height: int, width: int) -> Floats:
+    """Return the solid angle of each pixel of a panorama, in sr, [height, width]."""
+    return np.repeat(row_solid_angles(height, width)[:, None], width, axis=1)
 
 
 def column_azimuths_deg(width: int, heading_deg: float) -> Floats:
