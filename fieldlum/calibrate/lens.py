@@ -272,8 +272,9 @@ def _rounded(lens: Lens) -> Lens:
 def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
     """Return a chessboard's inner corners, x and y [rows * columns, 2] px; None without a board.
 
-    columns, rows: numbers of inner corners along the board's sides. Raises InputError if the file
-    cannot be read as a picture.
+    The corners are row by row, `columns` in each row. Both coordinates are 0.5 in the middle of the
+    first pixel. columns, rows: numbers of inner corners along the board's sides. Raises InputError
+    if the file cannot be read as a picture.
     """
     complete, corners = cv2.findChessboardCornersSB(
         grey_picture(path), (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE

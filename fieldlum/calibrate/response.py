@@ -51,10 +51,11 @@ _MIN_BALANCE_CHANGE = 0.06
 class Steps(NamedTuple):
     """The exposures of brackets by the overlap of frames, and how much steps contradict the labels.
 
-    log_exposure [exposures]: ln of the exposures, corrected, with the same span as by the labels.
-    deviation [exposures - 1]: of each step from its label, ln of light; 0 where the overlap does
-    not contradict the label. balance: largest change of red or blue against green between two
-    frames, ln, of which the response hides a part; 0 for none.
+    A label is an exposure as the camera states it. log_exposure [exposures]: ln of the exposures,
+    ascending, corrected, with the same span as by the labels. deviation [exposures - 1]: of each
+    step from that of the labels, ln of light; 0 where the overlap does not contradict them.
+    balance: largest change of red or blue against green between two frames, ln; 0 for none. It is a
+    lower limit, because each colour's response is fitted to the same frames.
     """
 
     log_exposure: Floats

@@ -110,9 +110,10 @@ _U_LAMP_REL = 5e-4  # stability of a lamp over minutes; limits the weight of any
 class Levels(NamedTuple):
     """The mean raw counts of blocks of each frame, to which linearity is fitted.
 
-    share: mean counts above black over the full scale, [frames, blocks], NaN where a block is
-    saturated or dark; weight: 1 / (relative uncertainty of the share)^2, [frames, blocks]; seconds:
-    true shutter times by the profile, [frames].
+    A block is one of 8 x 8 equal rectangles of a frame, in one of R, G1, G2 and B. share: mean
+    counts above black divided by the full scale, [frames, blocks], NaN where a block is saturated
+    or dark; weight: 1 / (relative uncertainty of the share)^2, [frames, blocks]; seconds: true
+    shutter times by the profile, [frames].
     """
 
     share: Floats
@@ -156,7 +157,7 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
 
 
 def _blocks(mosaic: Mosaic, profile: CameraProfile) -> Floats:
-    """Return mean counts over full scale of a frame's blocks, and their weights, [2, blocks].
+    """Return mean counts as shares of the full scale in a frame's blocks, and weights, [2, blocks].
 
     The mean is NaN where a block is saturated or dark. A weight is 1 / (relative uncertainty)^2.
     """
@@ -263,10 +264,11 @@ def _held_out(levels: Levels, solution: Floats, held: Mask) -> Floats:
 
 
 def chart(levels: Levels, fit: LinearityFit) -> Chart:
-    """Return a chart of light over exposure time, as recorded (red) and after correction (blue).
+    """Return a chart of each block's light per exposure time, recorded (red) and corrected (blue).
 
-    It has one value for each frame and block, relative to the block's mean, over the share of the
-    full scale.
+    The x axis is the block's mean count as a share of the full scale in %; the y axis is light
+    divided by exposure time, relative to the mean over the block's frames. There is one point for
+    each frame and block (see `Levels`).
     """
     light = levels.share[:, np.isfinite(levels.share).any(axis=0)]  # a block may be full throughout
     corrected = light * linearity_factor(light, fit.coefficients)

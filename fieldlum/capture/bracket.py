@@ -50,10 +50,11 @@ class BracketCapture:
     setup: with the headings; camera: holds the camera; recorder: writes the journal. A doubtful
     frame is taken once more while the slot's window is open, unless an earlier second frame of the
     bracket is doubtful too. state: from the journal, with the frames already taken; deadline: the
-    end of the slot's window. between: called with each frame, and with None while waiting, to log
-    irradiance and to refresh the display. meter: illuminance meter, read before the first and after
-    the last frame, None without one; frame_bytes: size of the largest frame so far, for which the
-    disk must have space. folder: of the slot's files; requests: all planned frames.
+    end of the slot's window. between: called with each new frame, and with None while waiting or
+    reading pixels, to log irradiance and to refresh the display. meter: illuminance meter, read
+    before the first and after the last frame, None without one; frame_bytes: size of the largest
+    frame so far, for which the disk must have space. folder: of the slot's files; requests: all
+    planned frames.
     """
 
     session: Session
@@ -144,7 +145,10 @@ class BracketCapture:
         self.state = replace(self.state, frames=(*others, frame))
 
     def _handle_failure(self, error: Exception) -> None:
-        """Free space if the disk was full; after another error, close the camera to reopen it."""
+        """Free space if the disk was full; after another error, close the camera to reopen it.
+
+        After `_Away`, the error of a camera that is not open, nothing is closed.
+        """
         _delete_temporary_files(self.folder)  # an incomplete frame takes up space
         if disk_is_full(error):
             self.recorder.release_reserve()
@@ -188,7 +192,7 @@ class BracketCapture:
                 doubtful = replace(frame, doubt=fault)
                 self._store_in_state(doubtful)
                 self._retake(doubtful)
-            self.between(None)
+            self.between(None)  # None: there is no new frame
         frames = self.state.frames
         lost = [f for f in frames if f.doubt and self.checks.pixels(self.folder / f.file)]
         if not lost or len(frames) - len(lost) >= max(2, len(frames) / 2):  # enough for `merge`
@@ -273,12 +277,15 @@ class BracketCapture:
         return self._wait_for(lambda: self.clock.now() >= earliest and not missing(size))
 
     def _wait_for(self, is_ready: Callable[[], bool]) -> bool:
-        """Wait until `is_ready()`; return whether it was before the deadline."""
+        """Wait until `is_ready()`; return whether it became so before the deadline.
+
+        It is tried every second; in between irradiance is logged and the display refreshed.
+        """
         while self.clock.now() < self.deadline:
             if is_ready():
                 return True
             self.clock.sleep(1.0)
-            self.between(None)
+            self.between(None)  # None: there is no new frame
         return False
 
     def _complete_bracket(self) -> SlotState:

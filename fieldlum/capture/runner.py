@@ -101,7 +101,8 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     states = slot_states.read_slot_states(session)
     slots = slot_states.slots_to_do(session.slots(), states)
     first = slots[0].t_utc - timedelta(seconds=60) if slots else datetime.now(UTC)
-    # 20 s: four rows of irradiance before a slot. A simulated device that does not answer computes.
+    # 20 s: four rows of irradiance before a slot. 3600 s: a simulated device that takes long is not
+    # hung, but computes.
     options = Options(grace_s, log_around_s=20.0, threaded=False, watchdog_s=3600.0, flush=False)
     return FastClock(states.last_utc or first), options
 

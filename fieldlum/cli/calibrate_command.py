@@ -221,7 +221,10 @@ def _by_targets(
 def response(profile: Any, sources: Annotated[Paths, "BRACKETS...", EXISTING_PATH]) -> FittedPart:
     """Fit JPEG codes to linear light, from brackets of a still scene.
 
-    BRACKETS are folders with one bracket each, or the JPEG files of one bracket.
+    BRACKETS are folders with one bracket each, or the JPEG files of one bracket. A bracket has
+    three or more exposures, by EXIF, in steps of at most 2 EV. Camera, light, aperture and white
+    balance must not change. The fit is that of Debevec and Malik (1997); held-out places choose
+    among standard curves and tables.
 
     \b
     Example:
@@ -360,9 +363,9 @@ def scale(
 def shutter(profile: Any, sources: Annotated[Paths, "SESSION...", EXISTING_PATH]) -> FittedPart:
     """Fit the shutter's true times from merged sessions (raw cameras).
 
-    The SESSIONs must be merged with this profile. Two neighbouring times are used if five or
-    more brackets agree on their ratio within 2 %. A merge with the new profile starts from the
-    fitted times.
+    The SESSIONs must be merged with this profile. Two neighbouring times are used if five or more
+    brackets agree on their ratio within 2 %. A merge with the new profile starts from the fitted
+    times.
 
     \b
     Example:
@@ -375,6 +378,8 @@ def shutter(profile: Any, sources: Annotated[Paths, "SESSION...", EXISTING_PATH]
     digest = sha256(find_camera_profile(click.get_current_context().params["camera"]))
     read = [shutters.from_session(open_session(path), digest) for path in sources]
     files = [file for _, sidecars in read for file in sidecars]
+    # A law turns nominal times into true ones (third-stops, half-stops, exact). The measured ratios
+    # are relative to the law of the merges, which a profile with "auto" does not state.
     start = shutters.with_law_of(profile, files)
     fit = shutters.fit([bracket for brackets, _ in read for bracket in brackets], start)
     times = []

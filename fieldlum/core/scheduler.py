@@ -329,12 +329,14 @@ def software() -> dict[str, str]:
     """Return what results depend on: versions of Python and packages, digests of fieldlum's files.
 
     By name: python, the names of packages, source (the code) and profiles (of cameras). A package
-    that is not installed has the version "none".
+    that is not installed has the version "none". A worker compares these facts with those of the
+    computer that sent the task, and rejects the task if they differ (`perform`).
     """
     facts = {"python": f"{sys.version_info[0]}.{sys.version_info[1]}"}
     for name in ("fieldlum", "numpy", "scipy", "opencv-contrib-python-headless", "torch", "pvlib"):
         facts[name] = "none"
         with suppress(PackageNotFoundError):
+            # without the label of a build after "+", such as that for a GPU (2.9.0+cu128)
             facts[name] = version(name).split("+")[0]
     folders = {"source": Path(__file__).parents[1], "profiles": shipped("calibration")}
     for (key, folder), pattern in zip(folders.items(), ("*.py", "*.toml"), strict=True):

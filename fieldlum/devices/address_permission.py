@@ -71,9 +71,10 @@ def _path_and_digest(value: str) -> str:
 def require_permitted(text: str, source: Path, option: str) -> None:
     """Raise InputError for a device address that needs a permission which the user did not give.
 
-    It needs one if it names more than a device; the user gives it by a command that names the
-    address. text: the address; source: the session.toml that states it; option: of the command,
-    such as --camera.
+    It needs one if it names a program, a file, a folder or another computer: an address in the
+    session of another person could start any program. Serial ports, USB cameras and simulated
+    devices need none. The user permits an address by a command that names it. text: the address;
+    source: the session.toml that states it; option: of the command, such as --camera.
     """
     try:
         wanted = permission_subject(text)

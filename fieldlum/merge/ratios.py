@@ -232,15 +232,16 @@ def ratio_curve(
 
 
 def fit_ratios(pairs: list[PairRatio], prior_covariance: Floats) -> RatioFit:
-    """Return the corrections of all frames that fit the pairs and the priors best.
+    """Return the corrections of all frames' exposures that fit the pairs and the priors best.
 
-    With delta the ln correction of a frame, the sum over pairs of (log_ratio - delta_short +
-    delta_long)^2 / u_log^2 plus the priors (delta = 0) is minimised. prior_covariance [frames,
-    frames] is that of ln exposure: two frames with one shutter time have a common error.
-    Pairs that contradict the rest (because a cloud passed) lose weight by Huber's rule. If the
-    corrections contradict the priors (because the light changed, or the shutter deviates from its
-    nominal times), the common level is less certain: the priors of the covariance are then widened
-    by Birge's ratio (Phys. Rev. 40, 1932).
+    With delta the ln of the correction factor on a frame's exposure, the sum over pairs of
+    (log_ratio - delta_short + delta_long)^2 / u_log^2 plus the priors (delta = 0) is minimised.
+    prior_covariance [frames, frames] is that of ln exposure: two frames with one shutter time have
+    a common error. Pairs that contradict the rest (because a cloud passed) lose weight by Huber's
+    rule (Annals of Mathematical Statistics 35, 1964) from 2.5 u_log on. If the corrections
+    contradict the priors (because the light changed, or the shutter deviates from its nominal
+    times), the common level is less certain: the priors of the covariance are then widened by
+    Birge's ratio (Phys. Rev. 40, 1932).
     """
     frames = len(prior_covariance)
     prior = np.asarray(np.linalg.inv(prior_covariance), np.float64)

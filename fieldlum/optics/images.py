@@ -635,7 +635,8 @@ def _luminance(
 ) -> tuple[Floats32, str]:
     """Return the luminance [H, W] in cd/m2, and a note if the file does not state its unit.
 
-    channels: by plain name, [H, W] each.
+    channels: by plain name, [H, W] each. A header with a key "fieldlum:..." or "heading_deg" is of
+    a file that fieldlum wrote, so that Y is in cd/m2.
     """
     white = header.get("whiteLuminance")
     white = white if isinstance(white, int | float) and 0 < white < np.inf else None

@@ -73,11 +73,11 @@ class BracketInterval:
 def merged_brackets(session: Session) -> list[BracketInterval]:
     """Return the bracket of every panorama, in order of time, compared with the others.
 
-    The times are those of its capture.json, without one half a minute around the panorama's time.
-    `double_of` is set for brackets that share frames: a card was imported twice with two clock
-    offsets, and at least one of the two slots is wrong. `camera` is set only where it differs from
-    the camera of most brackets. Raises InputError for a panorama whose time is unknown, and for a
-    damaged capture.json or sidecar.
+    The times are those of its capture.json. If that file is missing, they are 15 s before and 15 s
+    after the panorama's time (of its sidecar, else of its name). `double_of` is set for brackets
+    that share frames: a card was imported twice with two clock offsets, and at least one of the two
+    slots is wrong. `camera` is set only where it differs from the camera of most brackets. Raises
+    InputError for a panorama whose time is unknown, and for a damaged capture.json or sidecar.
     """
     brackets = [_bracket_of(session, path) for path in session.panorama_files()]
     slots_of: dict[str, list[str]] = {}

@@ -38,8 +38,9 @@ def irradiance_during(
 
     If it has fewer than three rows, those within one row interval before and after it are included.
     `why` is set if rows are over 15 minutes apart, if any time of the bracket is more than two row
-    intervals from a usable row, if diffuse is above global, or if global changed by over 50 % (and
-    over 10 W/m2), so that its frames saw different light; from 10 % on this is a caution.
+    intervals plus one second from a usable row, if diffuse is above global, or if global changed by
+    over 50 % (and over 10 W/m2), so that its frames saw different light; from 10 % on this is a
+    caution.
     """
     start_s, end_s = opened.timestamp(), closed.timestamp()
     every_s = max(log.every_s(start_s), 1.0)

@@ -165,7 +165,7 @@ def _record_plan(session: Session, about: PlanTable) -> PlanTable:
 def _complete_interrupted_replan(session: Session) -> PlanTable:
     """Return the table [plan] of session.toml; first complete a make-up plan that was interrupted.
 
-    It was if plan.csv was replaced, and session.toml not yet.
+    A make-up plan was interrupted if plan.csv is already new and session.toml still old.
     """
     about = session.table().get("plan", {})
     if _older_plan(session, about).exists() and sha256(session.plan) != about.get("sha256"):

@@ -36,8 +36,8 @@ WALLS_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
 class Facades:
     """The f walls that let light in.
 
-    azimuths_deg: of their outward normals, clockwise from north [f]; weights: importance of each
-    wall's sunlight in the kernel, 1 for the most important wall of a known room [f].
+    azimuths_deg: of their outward normals, clockwise from north [f]; weights: factor on the term of
+    each wall in `Kernel`, 1 for the wall of a known room with most glass [f].
     """
 
     azimuths_deg: Floats
@@ -52,9 +52,12 @@ class Facades:
 def facades_of(room: Room | None) -> Facades:
     """Return the walls of a box room that have windows, as facades.
 
-    A wall's weight is the square root of (the sum over its windows of area times transmittance)
-    divided by the largest such sum of any wall: 1 for the wall with most glass. Without a box room
-    or windows there are eight facades, one every 45 degrees, of weight 0.25 each (chosen).
+    The weight multiplies the wall's term in the kernel, the covariance that sun on the wall causes.
+    Glass is the sum over a wall's windows of area times transmittance. The weight is the square
+    root of the wall's glass divided by that of the wall with most glass, which has the weight 1;
+    the root gives small windows a larger part (chosen). Without a box room or windows there are
+    eight facades, one every 45 degrees, of weight 0.25 each (chosen): together they count about as
+    much as one facade in the sun.
     """
     if room is None or room.kind != "box" or not room.window:
         return Facades(np.linspace(0.0, 315.0, 8), np.full(8, 0.25))

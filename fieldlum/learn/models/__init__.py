@@ -91,8 +91,10 @@ FORMAT = 5  # of fitted values in a model's folder
 def state_of(model: Any, with_patch: bool) -> ModelState:
     """Return the content of the folder of a model that is a dataclass.
 
-    Its fields are one table of config.json, whose key is the model's name, and arrays of
-    weights.npz. with_patch: whether the model uses sun patches.
+    Its fields are a table of config.json, whose key is `model.name`, such as transport. A NumPy
+    array is stored in weights.npz, and the table has its name there. All other fields must be
+    numbers, texts, None, or lists, tables or dataclasses of these; they become plain values of the
+    table. with_patch: whether the model uses sun patches.
     """
     arrays: dict[str, Array] = {}  # `serialised` adds the model's arrays
     table = serialised(model, "array", arrays) | {"format": FORMAT}

@@ -318,10 +318,11 @@ class PixelSampler:
     """All pairs of one of n hours and one of P seen pixels, as tensors on one device.
 
     The index of a pair is the hour's index times P plus the pixel's index in `seen`. inputs: of all
-    pixels of the map in the n hours; target: encoded luminance of the map [n, P]; patch: encoded
-    luminance of the sun patch, 0 without patches [n, P]; weight: of the value in the loss: solid
-    angle over the mean, times its weight in training [n, P]; seen: flat index of each pixel in the
-    map [P]. The length is n times P.
+    pixels of the map in the n hours; target: luminance of the map, encoded by `encode` to about 0
+    to 1 [n, P]; patch: luminance of the sun patch, encoded in the same way, 0 without patches [n,
+    P]; weight: of the pair in the loss: solid angle of the pixel divided by the mean one, times the
+    weight of its value in training [n, P]; seen: flat index of each pixel in the map [P]. The
+    length is n times P.
     """
 
     inputs: Inputs

@@ -171,7 +171,8 @@ def without_lamps(
     """Return the spots that can be images: dimmer than the sun, and moving as it moves.
 
     Omitted are spots brighter than the sun (lamps), spots at the place of a lamp, and spots that
-    are in one place while the sun moves by 3 tolerances. suns [n, 3], direct_lx [n]: direction and
+    are in one place, within `tolerance_rad`, while the sun moves by more than three times that
+    angle. It is 1 degree plus 0.75 pixels of the maps. suns [n, 3], direct_lx [n]: direction and
     normal illuminance of the sun in all captures; height: rows of the maps.
     """
     places, rows = _places_of(spots)

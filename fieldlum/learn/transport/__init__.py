@@ -345,11 +345,13 @@ def _choose_with_or_without_room(data: Dataset, patch: Patch, seed: int) -> _Cho
     """Return the inputs with the stated room, or those without it if they predict clearly better.
 
     A box can be worse than no room if it lacks, for example, a building in front of its windows.
-    Compared are geometric means of the errors of held-out days and seasons. Without the room this
-    figure is 0.34 times that with it in a room of another renderer where the year's error is 0.35
-    times; in seven others it is 0.8 to 1.8 times, where the year's error is 0.7 to 1.8 times. data:
-    the captures; patch: with "none" sun patches are not used; seed: of the draw of pixels that
-    compare the inputs.
+    Clearly better: the geometric mean of the errors (log10 MSE) of held-out days and of held-out
+    seasons is less than `MAX_ROOMLESS_RATIO` (0.5) times that with the room. In eight rooms of
+    other renderers this ratio predicts that of the year's errors: it is 0.34 in one room, where the
+    errors of the year have the ratio 0.35, and 0.8 to 1.8 in seven rooms, where those have 0.7 to
+    1.8. Captures of one season leave held-out seasons untested, so the room is used. Sun patches
+    are computed from the room and are omitted with it. data: the captures; patch: with "none" sun
+    patches are not used; seed: of the draw of pixels that compare the inputs.
     """
     stated = _choose_inputs(_candidates_of(data, patch, seed))
     if data.setup.room is None or seasons(data.days).max() == 0:
@@ -358,6 +360,7 @@ def _choose_with_or_without_room(data: Dataset, patch: Patch, seed: int) -> _Cho
     with shown_by(quiet):
         candidates = _candidates_of(roomless, "none", seed)
     errors_of_days = [candidates.errors(inputs).figure("log10") for inputs in candidates.inputs]
+    # The error of held-out days must be smaller too; it needs no further fit, so it is first.
     if min(errors_of_days) >= stated.errors.figure("log10"):
         return stated
     chosen = _choose_inputs(candidates)
@@ -432,6 +435,11 @@ class _Chosen(NamedTuple):
 @threadpool_limits.wrap(limits=1, user_api="blas")  # its matrices are small; chunks run at once
 def _candidates_of(data: Dataset, patch: Patch, seed: int) -> _Candidates:
     """Return the inputs of a fit to the captures `data` among which held-out days choose.
+
+    All sun patches are multiplied by one factor fitted to the captures (`patch_scale`), because
+    transmittance and reflectances of the stated room are guesses. In a box room with windows the
+    coarse room model computes the light that the sun causes inside. Without that model the sun
+    patches determine it: the sums of sun patches in cells of the map become the features `bounced`.
 
     patch: with "none" sun patches are not used; seed: of the draw of pixels that compare the
     inputs. Raises NotEnoughDataError for fewer than three captures.

@@ -55,12 +55,16 @@ class StateColumns:
     def features(self, light: Light) -> Features:
         """Return the features of the n hours of `light`, with columns for these states.
 
-        Columns of l lamps [n, l] are 1 000 lx over the total light while the lamp is on, those of m
-        other states [n, m] are 1 while the room is in the state, else 0.
+        `lamps` [n, l] is 1 000 lx divided by the hour's total light while the lamp is on, else 0:
+        luminance is fitted as a share of the total light outside, of which a lamp's constant light
+        is less by day. With `always` the first column is a lamp that is on in all hours not marked
+        lamp=off; then follow the states `self.lamps`. `changed` [n, m] is 1 while the room is in
+        the state, else 0. Each is None without such columns.
         """
         features, states = light_features(light), light.states or ("",) * len(light)
         if self.always or self.lamps:
             always = np.array([float(LAMP_OFF not in text) for text in states])[:, None]
+            # the first column only with `self.always`
             on = np.hstack((always[:, : int(self.always)], indicators(states, self.lamps)))
             features = replace(features, lamps=on * (LAMP_LX / light.total_lx)[:, None])  # [n, l]
         if self.changed:

@@ -193,13 +193,16 @@ def text_of(tags: Tags, number: int) -> str:
 
 
 def _camera_time(tags: Tags) -> datetime | None:
-    """Return the first valid time of the tags; a blank or invalid offset from UTC is unknown."""
-    for number, second_number, offset_number in _TIME_TAGS:
+    """Return the first valid time of the tags.
+
+    With a blank or invalid offset from UTC the time is naive.
+    """
+    for number, fraction_number, offset_number in _TIME_TAGS:
         match = _TIME.fullmatch(text_of(tags, number))
         if match is None:
             continue
         year, _, month, day, hour, minute, second, fraction, own_offset = match.groups()
-        fraction = text_of(tags, second_number) or fraction or ""
+        fraction = text_of(tags, fraction_number) or fraction or ""
         offset = text_of(tags, offset_number) if own_offset is None else own_offset
         microseconds = f"{fraction[:6]:0<6}" if fraction.isdecimal() else "000000"
         text = f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{microseconds}"

@@ -205,9 +205,12 @@ class SceneSearch:
         self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, self.albedo))
 
     def misfit(self) -> dict[str, float]:
-        """Return the mean misfit, 0 to 1, of three geometries; keys: none, stated and fitted.
+        """Return the misfit, 0 to 1, of three geometries; keys: none, stated and fitted.
 
-        "none" is without sun patches; "stated" is the stated box with albedos that fit it.
+        It is the share of the sampled pixels whose luminance the sun patches do not explain, as a
+        mean over the sunny hours: the mean of e^2 / (e^2 + 1.5^2), e being the error of ln
+        luminance; 0 is a perfect fit. "none" is without sun patches; "stated" is the stated box
+        with albedos that fit it.
         """
         of_fitted = self.evidence.patches(self.guess, self.albedo)
         albedo = self.evidence.albedos(self.start, stated_albedo(self.room))

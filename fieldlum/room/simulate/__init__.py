@@ -187,10 +187,11 @@ def _traced(root: Path, how: _Room) -> tuple[LitRoom, FineWindows | None]:
 
 
 def make_session(out: Path, setup: SiteFile, slots: Sequence[Slot], about: PlanTable) -> Session:
-    """Create the session folder `out` with `slots`, in time order, as its plan.
+    """Create the session folder `out` with `slots`, put in order of time, as its plan.
 
-    about: further keys of the table [plan]. Raises InputError if `out` is a session, is inside one,
-    or has a plan.csv that fieldlum did not write.
+    setup: the content of SITE.toml; slots: in any order; about: further keys of the table [plan].
+    Raises InputError if `out` is a session, is inside one, or has a plan.csv that fieldlum did not
+    write.
     """
     in_order = sorted(slots, key=lambda slot: slot.t_utc)
     return create_session(out, setup, in_order, {**about, "slots": len(slots)})

@@ -59,11 +59,11 @@ def frame_from(fields: Mapping[str, Any]) -> Frame:
 class CaptureFile(JsonFile, frozen=True):
     """The content of one capture.json.
 
-    slot: id; t_open_utc: first request to the camera; t_close_utc: when the last file was on the
-    disk; complete: whether all planned frames were taken; profile: name of the camera profile;
-    heading_deg: of the panorama's centre column, clockwise from true north, None if unknown;
-    camera: fields of `CameraInfo` that are known; illuminance_lx: mean reading of a meter at the
-    lens, or None.
+    slot: id; frames: in order of `index`, as `capture` and `import` write them; t_open_utc: first
+    request to the camera; t_close_utc: when the last file was on the disk; complete: whether all
+    planned frames were taken; profile: name of the camera profile; heading_deg: of the panorama's
+    centre column, clockwise from true north, None if unknown; camera: fields of `CameraInfo` that
+    are known; illuminance_lx: mean reading of a meter at the lens, or None.
     """
 
     EXPECTED = "the frames of a bracket, as capture and import write them"

@@ -342,9 +342,10 @@ def _shortest_edges(openness: Floats32, factor: int) -> Floats32:
     """
 
     def evenly(values: Floats32, pixel: float) -> Floats32:
-        """Return a map [h, w] blurred by a round Gaussian of half a pixel of the sky view.
+        """Return a map [h, w] blurred by a round Gaussian; edges are continued by their values.
 
-        pixel: width of a pixel of the sky view in pixels of the map.
+        The standard deviation is half a pixel of the sky view. values: without NaN; pixel: width of
+        a pixel of the sky view in pixels of the map.
         """
         blurred = cv2.GaussianBlur(values, (0, 0), 0.5 * pixel, borderType=cv2.BORDER_REPLICATE)
         return np.asarray(blurred, np.float32)

@@ -136,7 +136,8 @@ class Pictures(NamedTuple):
 def write_pictures(path: Path, pictures: Pictures) -> None:
     """Write `pictures` to the npz file `path`, with luminances rounded to 0.01 %.
 
-    An earlier file is replaced.
+    The arrays have the names of the fields of `Pictures`. An earlier file is replaced. Raises
+    OSError if the file cannot be written.
     """
     maps = rounded(pictures.luminance_cdm2)
     with replacing(path) as file:

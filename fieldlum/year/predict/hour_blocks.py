@@ -342,7 +342,10 @@ class HourJudge:
 
         discs_lx: illuminance of the sun's disc [m, k] in m random draws of its visibility, the
         second result of `discs_of` for these hours; melanopic: colours by the captures, None
-        without any. dgp_low and dgp_high are the ends of the 95 % interval of DGP.
+        without any. dgp_low and dgp_high are the ends of the 95 % interval of DGP: the limit by
+        what no lens saw, plus the quantile of the draws, plus 1.96 u of the maps. The three are
+        added, not their squares as in u_dgp, so that the interval is wide enough also if they are
+        not independent. "occupied" is 0 here; `year.run` sets it.
         """
         views, light, coverage, figures = self.views, block.light, self._coverage, self.glare(block)
         u_map_rel, u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
@@ -353,6 +356,7 @@ class HourJudge:
         if coverage.unseen_illuminance.any():
             seen_cdm2 = metrics.brightest_cdm2(block.prediction.luminance_cdm2, views)
             brightest = np.maximum(brightest, seen_cdm2)
+        # lowest and highest DGP over possible luminances of the unseen part [k, d]
         minimum, maximum = metrics.unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
         drawn_ev_lx, drawn_contrast = self._drawn_light(block, figures, discs_lx)
         if melanopic is not None:

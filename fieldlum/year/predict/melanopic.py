@@ -317,11 +317,14 @@ class YearHours:
 def edi_budget(
     colours: MelanopicYear, views: Figures, hours: YearHours, azimuths_deg: Floats
 ) -> list[budget.Budget]:
-    """Return the uncertainty budgets of `YearHours.shares` in %, for each of d view directions.
+    """Return uncertainty budgets of the shares of a year with enough melanopic EDI [%].
 
-    colours: the fit; views: results of `colours.figures` for all n hours, by key; hours: the times
-    of these hours; azimuths_deg: the directions [d], clockwise from north. The budgets do not
-    contain that another year has other weather.
+    The five shares of `YearHours.shares` are of the hours from 06:00 to 19:00 with at least 250 lx,
+    and of the days with at least 109, 136, 163 or 250 lx from 09:00 to 13:00. There is one budget
+    for each of d view directions and each share that is not NaN, in that order. colours: the fit;
+    views: results of `colours.figures` for all n hours, by key; hours: the times of these hours;
+    azimuths_deg: the directions [d], clockwise from north. The budgets do not contain that another
+    year has other weather.
     """
     edi, of_map = views["melanopic_edi_lx"], views["edi_of_map_lx"]
     share, of_sun, u_sun = budget.of_share, edi - of_map, melanopic.U_SUN_RATIO

@@ -288,11 +288,14 @@ def report_hours(annual: Annual) -> Iterator[tuple[str, int]]:
 
 
 def report_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
-    """Predict the maps of `report_hours` again, and return them in that order.
+    """Predict the luminance maps of the k hours to show in the report, and return them.
 
-    They are predicted again because all maps of a year would need a gigabyte of memory. The maps
-    contain images of the sun in mirrors. fitted, room: the model and its room; light, annual: the
-    light of all n hours of the year, and their results. Raises the errors of `hour_blocks.blocks`.
+    The hours are those with the median, the 95th percentile and the highest DGP in the directions
+    with most and with least glare (`report_hours`), in that order: k is 6, or 0 if no direction was
+    seen. The maps [k, H, W] cd/m2 contain images of the sun in mirrors, not the sun's disc. They
+    are predicted again because all maps of a year would need a gigabyte of memory. fitted, room:
+    the model and its room; light, annual: the light of all n hours of the year, and their results.
+    Raises the errors of `hour_blocks.blocks`.
     """
     kinds, hours = [list(part) for part in zip(*report_hours(annual), strict=True)] or ([], [])
     rows, at = np.unique(np.array(hours, np.int64), return_inverse=True)
