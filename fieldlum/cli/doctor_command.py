@@ -33,10 +33,9 @@ def command(
     from fieldlum.room.scene.drawing import write_room
 
     camera_uri, pyranometer_uri, meter_uri = device_uris(session, camera, pyranometer, meter)
+    now = datetime.now(UTC)
     with terminal.progress("looking"):
-        findings = doctor.run(
-            session, camera_uri, pyranometer_uri, datetime.now(UTC), meter_uri=meter_uri
-        )
+        findings = doctor.run(session, camera_uri, pyranometer_uri, now, meter_uri=meter_uri)
     if as_json:
         terminal.emit_json(doctor.as_table(findings))
         sys.exit(doctor.exit_code(findings))

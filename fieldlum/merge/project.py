@@ -156,8 +156,7 @@ def _samples_per_pixel(target: Target, lens: LensGeometry, spacing_px: float) ->
     """
     half = lens.half_angle_rad
     most_px_per_rad = lens.radius_px * max(1.0 / np.sin(min(half, np.pi / 2)), 1.0 / half)
-    needed = np.ceil(most_px_per_rad * target.pixel_rad / (1.1 * spacing_px))
-    return int(np.clip(needed, 3, 24))
+    return int(np.clip(np.ceil(most_px_per_rad * target.pixel_rad / (1.1 * spacing_px)), 3, 24))
 
 
 # A raw camera needs 1 MB for each block of 36 square degrees of its sky cut. Chosen for 200 blocks.
@@ -404,8 +403,7 @@ def finished_map(
     """
     light, colour = view.luminance, profile.colour
     in_lens = (view.flags & Flag.OUTSIDE_LENS) == 0
-    u_response = curve_u_rel(profile)
-    relative2 = view.u_ratio**2 + u_response**2 + view.u_vignetting**2
+    relative2 = view.u_ratio**2 + curve_u_rel(profile) ** 2 + view.u_vignetting**2
     relative2 = relative2 + colour.u_rel**2 + profile.scale.u_rel**2
     solid_sr = target.solid_angles().ravel() * in_lens
     mean_cdm2 = float((light * solid_sr).sum() / max(solid_sr.sum(), 1e-12))

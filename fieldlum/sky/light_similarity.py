@@ -139,8 +139,7 @@ class Kernel:
         A term is omitted if `a` or `b` has None for its features.
         """
         cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
-        near = np.exp((cosine - 1.0) / self.beam_width**2)
-        return self._sum(a, b, lambda x, y: x @ y.T, near)
+        return self._sum(a, b, lambda x, y: x @ y.T, np.exp((cosine - 1.0) / self.beam_width**2))
 
     def diagonal(self, a: Features) -> Floats:
         """Return the prior variance of each hour of `a`: the diagonal of kernel(a, a), [len(a)]."""

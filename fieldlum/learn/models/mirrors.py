@@ -160,8 +160,7 @@ def bright_spots(
         spot = sun_disc.find_disc(light, heading_deg, near_deg=(altitude, azimuth), dni_wm2=dni_wm2)
         if spot is not None:
             spots.append(SunImage(row, direction(spot.altitude_deg, spot.azimuth_deg), spot))
-        around = rays @ rays[peak] > np.cos(near_sun_rad(height))
-        light = np.where(around, np.float32(0.0), light)
+        light = np.where(rays @ rays[peak] > np.cos(near_sun_rad(height)), np.float32(0.0), light)
     return spots
 
 

@@ -275,12 +275,10 @@ def summary(scores: Scores) -> ScoreFigures:
 
     A figure that was not computed is None.
     """
-    errors = scores.errors
+    errors, truth2_weighted = scores.errors, max(scores.truth2_weighted.sum(), 1e-12)
     return {
         "log10_mse_weighted": float(scores.mse_weighted.mean()),
-        "rer_weighted": float(
-            np.sqrt(scores.mse_weighted.sum() / max(scores.truth2_weighted.sum(), 1e-12))
-        ),
+        "rer_weighted": float(np.sqrt(scores.mse_weighted.sum() / truth2_weighted)),
         "median": float(np.median(scores.mse_weighted)),
         "p90": float(np.quantile(scores.mse_weighted, 0.9)),
         "worst": float(scores.mse_weighted.max()),

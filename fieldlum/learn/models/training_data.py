@@ -191,8 +191,7 @@ def sun_of_rows(path: Path, rows: Sequence[PairRow], site: Site) -> tuple[Floats
         remedy += ", or empty both sun columns"
         raise InputError(path, f"line {rows[k].line}: sun at {in_csv}", expected, remedy)
     _check_irradiance(path, rows, altitude)
-    missing = np.isnan(stated).any(axis=0)
-    return tuple(np.where(missing, (altitude, azimuth), stated))
+    return tuple(np.where(np.isnan(stated).any(axis=0), (altitude, azimuth), stated))
 
 
 _MIN_SUNNY_ROWS = 3  # a median of fewer rows can be chance; chosen
@@ -446,6 +445,16 @@ def take_disc_out(
             data.disc_deg[k] = at[0] + disc.altitude_deg - place[0], at[1] + azimuth_off_deg
 
 
+def _with_patches(path: Path, rows: Sequence[PairRow]) -> bool:
+    """Return whether the rows of the file `path` have sun patches; InputError if only some have."""
+    without = [row.line for row in rows if not row.sunpatch]
+    if 0 < len(without) < len(rows):
+        finding = f"line {without[0]}: the cell of column sunpatch is empty, but not in other rows"
+        remedy = "fill or empty this column in all rows"
+        raise InputError(path, finding, "a sunpatch in all rows or in none", remedy)
+    return not without
+
+
 def read_pictures(
     path: Path, rows: list[PairRow], setup: SiteFile, light: Light
 ) -> tuple[Dataset, Mask]:
@@ -463,14 +472,8 @@ def read_pictures(
     first = read_panorama(pictures[0])
     shape, heading = first.luminance_cdm2.shape, _heading_deg(first, pictures[0], setup)
     size_and_heading = (shape, heading)  # of all pictures
-    with_patch = sum(bool(row.sunpatch) for row in rows)
-    if 0 < with_patch < len(rows):
-        line = next(row.line for row in rows if not row.sunpatch)
-        finding = f"line {line}: the cell of column sunpatch is empty, but not in other rows"
-        remedy = "fill or empty this column in all rows"
-        raise InputError(path, finding, "a sunpatch in all rows or in none", remedy)
     maps = np.empty((len(rows), *shape), np.float32)
-    patches = np.empty_like(maps) if with_patch else None
+    patches = np.empty_like(maps) if _with_patches(path, rows) else None
     disc_lx, clipped_count = np.zeros(len(rows)), 0
     masks, counts = np.empty(maps.shape, bool), np.empty(maps.shape, np.float16)
     for k, row in enumerate(rows):
@@ -489,10 +492,8 @@ def read_pictures(
             if patch.sun and not panorama.sun and not row.sun_in_map:
                 disc_lx[k] = patch.sun.normal_illuminance_lx
     progress(len(rows), len(rows), "")
-    clipped = (
-        f"the sun is clipped in {counted(clipped_count, 'map')}: its illuminance there is only a "
-        "lower bound; run fieldlum pair, and read its cautions"
-    )
+    bound = "its illuminance there is only a lower bound; run fieldlum pair, and read its cautions"
+    clipped = f"the sun is clipped in {counted(clipped_count, 'map')}: {bound}"
     days = [sun.standard_date(t, setup.site.timezone) for t in light.t_utc]
     uncertain = np.array([row.doubtful for row in rows])
     data = Dataset(

@@ -21,17 +21,9 @@ from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
 from fieldlum.learn.model_kinds import MODELS
 from fieldlum.learn.models import TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
+from fieldlum.learn.models import scores as scoring
 from fieldlum.learn.models.held_out_choice import CRITERIA, choice_weights, choose, trimmed_mean
 from fieldlum.learn.models.mirrors import Mirror, split_images
-from fieldlum.learn.models.scores import (
-    Scores,
-    YearExpectation,
-    evaluate,
-    expect_year,
-    join,
-    summary,
-    truth,
-)
 from fieldlum.learn.models.training_data import Dataset, with_sky_view
 from fieldlum.learn.train.outliers import without_changes
 from fieldlum.room.fit.misplaced_patches import misplacement_of, warnings_of
@@ -77,7 +69,7 @@ class Trial:
     """
 
     name: str
-    scores: Scores
+    scores: scoring.Scores
     fit_s: float
     fit_cpu_s: float
     n_train: int
@@ -132,17 +124,17 @@ def evaluate_folds(
     limit. Raises the errors of `fit_timed`, and FloatingPointError for a predicted value that is
     not finite.
     """
-    parts: list[Scores] = []
+    parts: list[scoring.Scores] = []
     times: list[Spent] = []
     fold_s = budget_s and budget_s / len(folds)
     for held in folds:
         fitted, spent = fit_timed(name, data.take(~held), patch=patch, seed=seed, budget_s=fold_s)
-        parts.append(evaluate(fitted, truth(data.take(held))))
+        parts.append(scoring.evaluate(fitted, scoring.truth(data.take(held))))
         times.append(spent)
     wall_s, cpu_s = np.mean(times, axis=0).tolist()
     return Trial(
         name=name,
-        scores=join(parts),
+        scores=scoring.join(parts),
         fit_s=wall_s,
         fit_cpu_s=cpu_s,
         n_train=round(len(data) - np.mean([held.sum() for held in folds])),
@@ -222,7 +214,7 @@ class Result:
     fit_s: float
     data: Dataset
     notes: tuple[str, ...]
-    year: YearExpectation | None
+    year: scoring.YearExpectation | None
     mirrors: tuple[Mirror, ...]
     untrusted: bool
 
@@ -232,7 +224,10 @@ class Result:
         seed: of the training, which each row repeats.
         """
         names, seeds = ("name", "fit_s", "fit_cpu_s", "n_train", "folds"), {"seed": seed}
-        return [{k: getattr(t, k) for k in names} | summary(t.scores) | seeds for t in self.trials]
+        return [
+            {k: getattr(t, k) for k in names} | scoring.summary(t.scores) | seeds
+            for t in self.trials
+        ]
 
 
 def patch_mode(data: Dataset, patch: Patch) -> Patch:
@@ -304,7 +299,9 @@ def _trials(data: Dataset, model: str, options: dict[str, Any]) -> tuple[list[Tr
     return trials, left_out
 
 
-def year_of(fitted: Fitted, data: Dataset, patch: Patch, seed: int) -> YearExpectation | None:
+def year_of(
+    fitted: Fitted, data: Dataset, patch: Patch, seed: int
+) -> scoring.YearExpectation | None:
     """Return the error that the model itself expects over a year, under skies like the captures'.
 
     data: the captures; seed: of the draw of hours and their skies. The result is None if the model
@@ -315,7 +312,7 @@ def year_of(fitted: Fitted, data: Dataset, patch: Patch, seed: int) -> YearExpec
         data = replace(data, patch_cdm2=None)
     if data.patch_cdm2 is not None and data.setup.room is None:
         return None
-    year = expect_year(fitted, data, np.random.default_rng(seed))
+    year = scoring.expect_year(fitted, data, np.random.default_rng(seed))
     return year if math.isfinite(year.expected_log10_mse) else None
 
 

@@ -118,10 +118,8 @@ class CameraPose:
         if not self.discs or not late_min:
             return self
         stated = rotation(self.heading_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
-        ahead, right = direction(0.0, self.axis_deg + np.array([0.0, 90.0]))
-        view, side = measured_discs.sun_earlier(
-            np.stack([ahead, right]) @ stated.T, late_min, latitude_deg
-        )
+        axes = direction(0.0, self.axis_deg + np.array([0.0, 90.0]))  # ahead and to the right
+        view, side = measured_discs.sun_earlier(axes @ stated.T, late_min, latitude_deg)
         tilt_deg, azimuth_deg = altitude_azimuth_deg(view)
         roll_deg = -np.degrees(np.arcsin(side[2] / np.cos(np.radians(tilt_deg))))
         heading_deg = signed_angle_deg(azimuth_deg - self.axis_deg)
