@@ -12,15 +12,9 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Ints32, Ints64, Mask
 from fieldlum.optics.projection import direction, smallest_arc
+from fieldlum.room.scene import view as scene_view
 from fieldlum.room.scene.radiosity import LitRoom, Rendering, box_room, joined, near_light
 from fieldlum.room.scene.trace import SunPoints
-from fieldlum.room.scene.view import (
-    SceneView,
-    SurfaceSamples,
-    camera_rays,
-    surface_points,
-    trace_pixels,
-)
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 
 _SUB = 2  # rays in each direction of a fine pixel: a camera's own pixel averages several
@@ -82,29 +76,29 @@ def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:
     pixel = np.flatnonzero(covered)
     rays = np.empty((len(pixel), 3))
     sky, plain = np.zeros((2, len(pixel)), np.float32)
-    blocks: list[SurfaceSamples] = []
+    blocks: list[scene_view.SurfaceSamples] = []
     faces: list[Ints64] = []
     for part, row, world in _blocks(grid, pixel):
-        toward = camera_rays(scene, room, world, view.heading_deg)
+        toward = scene_view.camera_rays(scene, room, world, view.heading_deg)
         count = part.stop - part.start
-        samples, sky[part], plain[part] = trace_pixels(scene, row, toward, count)
+        samples, sky[part], plain[part] = scene_view.trace_pixels(scene, row, toward, count)
         middle = toward.reshape(count, _SUB**2, 3).mean(axis=1) @ scene.turn
         rays[part] = middle / np.linalg.norm(middle, axis=1, keepdims=True)
         samples, face = joined(samples)
         blocks.append(samples._replace(pixel=samples.pixel + np.int32(part.start)))
         faces.append(face)
-    s = SurfaceSamples._make(np.concatenate(values) for values in zip(*blocks, strict=True))
+    s = scene_view.SurfaceSamples._make(np.concatenate(v) for v in zip(*blocks, strict=True))
     reach_m = np.linalg.norm(s.position - scene.camera_m, axis=1) * np.pi / view.height
     places, points = (s.position, np.concatenate(faces)), (lit.samples.position, lit.faces)
     illuminance = near_light(places, points, _NEIGHBOURS, reach_m)  # from points to samples
     luminance = (s.weight * scene.reflectance[s.box] / np.pi).astype(np.float32)
     n = len(luminance)
     to_pixels = csr_matrix((luminance, (s.pixel, np.arange(n))), (len(pixel), n)) @ illuminance
-    sun = surface_points(scene, s, len(pixel))
+    sun = scene_view.surface_points(scene, s, len(pixel))
     return FineWindows(grid, pixel, rays, sky, plain, sun, to_pixels.tocsr())
 
 
-def _near_windows(view: SceneView) -> Mask:
+def _near_windows(view: scene_view.SceneView) -> Mask:
     """Return a mask [H, W], True for pixels that show a pane, a frame or the outside, or are next.
 
     Neighbours across a corner count.
