@@ -160,8 +160,7 @@ class Office:
         """
         view = traced_view(self._room, _HEIGHT, self.setup.camera.heading_deg, 1)
         samples = view.samples  # surfaces that each pixel shows
-        outdoors = np.isin(samples.box, view.scene.of_kind("ground"))
-        factor = np.where(outdoors, 1.0, _DAYLIGHT_FACTOR)
+        factor = np.where(np.isin(samples.box, view.scene.of_kind("ground")), 1.0, _DAYLIGHT_FACTOR)
         reflected = samples.weight * view.scene.reflectance[samples.box] * factor
         ground = self._room.reflectance_ground * view.plain.ravel()
         surfaces = np.bincount(samples.pixel, reflected, len(ground)) + ground

@@ -573,9 +573,7 @@ def fit(
         run.epoch += 1
         run.cpu_s = time.process_time() - start_cpu_s
         if checkpoint is not None and rank() == 0:
-            state = {"net": net.state_dict(), "optimiser": trainer.optimiser.state_dict()}
-            with replacing(checkpoint) as file:
-                torch.save(state | {"best": best, "run": asdict(run), "mark": mark}, file)
+            store(checkpoint, trainer, run, best, mark)
     net.load_state_dict(best)
     about = {
         "epochs": run.epoch,
@@ -622,6 +620,13 @@ def _train_epoch(
             run.rate /= 2.0
         if share >= 1.0:
             break
+
+
+def store(path: Path, trainer: Trainer, run: Run, best: dict[str, Tensor], mark: str) -> None:
+    """Write the checkpoint that `restore` loads; `mark` is stored with it."""
+    state = {"net": trainer.net.state_dict(), "optimiser": trainer.optimiser.state_dict()}
+    with replacing(path) as file:
+        torch.save(state | {"best": best, "run": asdict(run), "mark": mark}, file)
 
 
 def restore(path: Path, trainer: Trainer, mark: str) -> tuple[Run, dict[str, Tensor]]:

@@ -292,8 +292,7 @@ def with_dirint(series: Series, altitude: Floats, site: Site) -> Series:
         return series
     ghi = np.where(alone, series.ghi_wm2, np.nan)
     centres, ghi_minute, row_minute = minute_means(series.t_unix_s, ghi)
-    times = [datetime.fromtimestamp(t, UTC) for t in centres]
-    dni_minute = sun.dirint_dni(ghi_minute, times, site)
+    dni_minute = sun.dirint_dni(ghi_minute, [datetime.fromtimestamp(t, UTC) for t in centres], site)
     # DIRINT uses the change of the light: no result without a value directly before or after.
     finite = np.r_[False, np.isfinite(ghi_minute), False]
     dni_minute[~finite[:-2] & ~finite[2:] & (ghi_minute > 0.0)] = np.nan
