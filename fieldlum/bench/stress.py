@@ -1,10 +1,10 @@
-"""Test conditions in which methods fail: error over a normal case, and whether the tool reports it.
+"""Test conditions in which methods fail: how errors grow, and whether the tool reports it.
 
-A condition changes the training data, the test data, or both. Its error is divided by the error of
-the same data without the condition, its normal case.
-"Reported" means one of three: the training warned (`learn.train.held_out_warnings`,
-`room.fit.misplaced_patches.warnings_of`); the model expected, on average, more than a third
-of the error; or it did not trust most of the hours, or most of those with a large error.
+A condition changes the training data, the test data, or both. The error under a condition is
+divided by the error of the same data without it, the normal case. "Reported" means one of three:
+the training warned (`learn.train.held_out_warnings`, `room.fit.misplaced_patches.warnings_of`); the
+model expected, on average, more than a third of the error; or it did not trust most of the hours,
+or most of those with a large error.
 
 A gross error is a map that is wrong by more than a factor of 1.6 (log10 MSE over 0.04). It counts
 as unflagged if the training did not warn, the hour is trusted, and less than a third of the error
@@ -247,8 +247,8 @@ def run(spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0) -> 
     the test hours, 0 to 1; warned: whether the fit warned; reported: whether the tool reported the
     error in any way (docstring of this module); gross, gross_unflagged: number of hours with gross
     errors (log10 MSE over 0.04), and of those without any warning, distrust or large expected
-    error; fit_cpu_s: processor time of the fit [s]; times_normal: the mean error over that of the
-    normal case. Errors are log10 MSE by solid angle. Maps are thinned to about 20 rows.
+    error; fit_cpu_s: processor time of the fit [s]; times_normal: the mean error divided by that of
+    the normal case. Errors are log10 MSE by solid angle. Maps are thinned to about 20 rows.
     """
     rows: list[JsonTable] = []
     normal: dict[str, float] = {}

@@ -349,7 +349,8 @@ class Circle(NamedTuple):
     """The image circle of a fisheye: centre (x, y) and radius in px.
 
     u_px: standard uncertainty of the radius: the edge points' distance from the circle, and 1 px
-    for the place of the edge between light and dark. edge: x, y [2, n] of the edge points [px].
+    for the place of the edge between light and dark. edge: x, y [2, n] of n points on the edge
+    [px].
     """
 
     centre_px: tuple[float, float]
@@ -412,7 +413,7 @@ def _bright_area(picture: UInts8) -> Array:
 
 
 def _edge_points(picture: UInts8, around: Array, reach: float) -> tuple[Array, int]:
-    """Return points x, y [2, n] on the edge of a circle, and the number of rays that reach it.
+    """Return n points x, y [2, n] on the edge of a circle, and the number of rays that reach it.
 
     around: x, y and radius of the circle [px]. The edge is searched within `reach`, a share of the
     radius. Rays that leave the picture inside the circle are not counted.

@@ -1,10 +1,11 @@
 """Fit the true times of a shutter to the exposure ratios of many merged brackets.
 
 The sidecar of each merged bracket (panoramas/<slot>.json) states how far neighbouring frames still
-differ, and the corrections that were applied. Their sum shows how much longer or shorter each frame
-was than assumed, relative to its neighbour. In one bracket the light also changes. The median over
-many brackets removes these changes, and a line over the seconds of each bracket removes a drift.
-Pictures determine only ratios: the mean level stays that of the times that the merge assumed.
+differ, and the corrections that were applied. The sum of both shows how much longer or shorter each
+frame was than assumed, relative to its neighbour. In one bracket the light also changes. The median
+over many brackets removes these changes, and a line over the seconds of each bracket removes a
+drift. Pictures determine only ratios: the mean level stays that of the times that the merge
+assumed.
 """
 
 import math
@@ -312,7 +313,10 @@ def with_times(profile: CameraProfile, shutter_fit: ShutterFit) -> tuple[Shutter
 
 
 def chart(fit: ShutterFit) -> Chart:
-    """Return a chart of fitted times over nominal ones, and of the assumed times (blue)."""
+    """Return a chart of fitted times, and of assumed times (blue), divided by nominal times.
+
+    The x axis is the nominal time.
+    """
     nominal, true = np.array([(t.nominal_s, t.true_s) for t in fit.times]).T
     assumed, label = np.array(fit.assumed_s), "true over nominal time"
     title = f"shutter: {len(fit.times)} times from {max(fit.brackets)} brackets"

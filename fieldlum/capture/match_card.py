@@ -401,9 +401,9 @@ def _civil_h(group: Group, zone: str, later: timedelta) -> int:
 def _best_path(near: np.ndarray, civil_h: Sequence[int]) -> list[int]:
     """Return the best clock offset of each day, as an index of hours (Viterbi's algorithm).
 
-    near [days, hours]: numbers of brackets near slots. Their sum is maximised, minus `_EVIDENCE`
-    for each change between days, or `_CIVIL_EVIDENCE` for one that equals `civil_h` [days - 1], the
-    change of civil time [h].
+    near [days, hours]: numbers of brackets near slots. The sum of `near` over the days is
+    maximised, minus `_EVIDENCE` for each change between days, or `_CIVIL_EVIDENCE` for one that
+    equals `civil_h` [days - 1], the change of civil time [h].
     """
     # score [hours]: the highest sum of a path that ends at each hour on the present day.
     score, origins = near[0].astype(float), []

@@ -99,7 +99,7 @@ class _CommandGroup(InOrder):
 def _children_import_nothing_here() -> Iterator[None]:
     """Keep Python processes started in a `with` block from importing from the current folder.
 
-    It may be a session from another person, whose files must not run.
+    That folder may be a session from another person, whose files must not run.
     """
     before = os.environ.get("PYTHONSAFEPATH", "")
     os.environ["PYTHONSAFEPATH"] = "1"

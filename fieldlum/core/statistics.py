@@ -34,7 +34,7 @@ def cauchy_weights(residual: Floats, half: float) -> Floats:
 
 
 def nan_percentiles(values: Floats, percent: tuple[float, ...]) -> Array:
-    """Return percentiles [k, ...] along the first axis of values [n, ...]; NaN are ignored.
+    """Return k percentiles [k, ...] along the first axis of values [n, ...]; NaN are ignored.
 
     percent: [k], 0 to 100. Interpolates linearly between neighbours. The result equals that of
     numpy.nanpercentile, which is 100 times slower. A column that contains only NaN gives NaN.

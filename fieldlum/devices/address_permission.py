@@ -33,9 +33,9 @@ _SAFE_SCHEMES = ("sim", "gphoto", "rpicam")  # their place is a word or a number
 def permission_subject(text: str) -> Subject | None:
     """Return what the user must permit before a device address of a session is used.
 
-    It is None if the address `text` names only a device. The digest of the result changes with the
-    text, the content of a named file and the target of a named folder. Raises DeviceError for a
-    text that is no address.
+    The result is None if the address `text` names only a device. The digest of the result changes
+    with the text, the content of a named file and the target of a named folder. Raises DeviceError
+    for a text that is no address.
     """
     uri = parse_uri(text)
     not_devices = []

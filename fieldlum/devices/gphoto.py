@@ -216,8 +216,8 @@ class Child:
 def serve(pipe: Connection) -> None:
     """Execute the commands that come through `pipe`, and answer each, until the command `close`.
 
-    This is what the child process runs. The commands are the methods of `_Driver`. It ends also if
-    the parent closes the pipe or ends.
+    This is what the child process runs. The commands are the methods of `_Driver`. The child ends
+    also if the parent closes the pipe or ends.
     """
     driver = _Driver()
     while True:
@@ -307,8 +307,8 @@ class _Driver:
     def set(self, name: str, text: str) -> str:
         """Set the widget `name` to one of its own choices, and return the value that it then has.
 
-        Raises ValueError for a text that is not among the choices. It is never sent to libgphoto2,
-        because that silently replaces some such texts and crashes on others.
+        Raises ValueError for a text that is not among the choices. Such a text is never sent to
+        libgphoto2, which silently replaces some of them and crashes on others.
         """
         widget = self._camera.get_single_config(name)
         if text not in list(widget.get_choices()):

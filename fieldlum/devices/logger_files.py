@@ -93,7 +93,7 @@ class _Table:
     def comparable_names(self) -> list[str]:
         """Return the name of each column as `_USUAL_NAMES` has it, without marks and case.
 
-        It is "" for a column of a csv that is not in W/m2.
+        The name is "" for a column of a csv that is not in W/m2.
         """
         if self.is_logger:
             return [_letters(name) for name in self.names]
@@ -571,9 +571,9 @@ def _number(text: str, quantity: str, factor: float, has_commas: bool) -> float 
 class _TimeColumns:
     """The columns of a table that state the time of each row: one, or a date and a time of day.
 
-    Its offset from UTC is stated in the column's name, in a column of offsets, or by the user.
-    Raises InputError for a table without a time, for times without a zone and without an offset,
-    and for dates such as 1/2/2015 of which day and month cannot be distinguished.
+    The offset of the times from UTC is stated in the column's name, in a column of offsets, or by
+    the user. Raises InputError for a table without a time, for times without a zone and without an
+    offset, and for dates such as 1/2/2015 of which day and month cannot be distinguished.
     """
 
     def __init__(self, path: Path, table: _Table, utc_offset: timedelta | None) -> None:
@@ -661,8 +661,8 @@ class _TimeColumns:
     def _check_step(self, t: datetime) -> None:
         """Raise InputError if the clock of the rows was set back before `t`, a time without a zone.
 
-        It was if the time steps back as at the end of summer time, or as with hours of 1 to 12
-        without AM and PM. Rows may be in any order otherwise.
+        The clock was set back if the time steps back as at the end of summer time, or as with hours
+        of 1 to 12 without AM and PM. Rows may be in any order otherwise.
         """
         before, self._before = self._before, t
         self._has_twelve_hours = self._has_twelve_hours and t.hour <= 12

@@ -83,7 +83,7 @@ class SerialPort:
     """A serial port with fixed settings, locked against other programs that lock their ports.
 
     name : its device file; port : pyserial's object. Raises DeviceError if the port cannot be
-    opened. Its methods, apart from `close`, raise it if the port fails later.
+    opened. The methods, apart from `close`, raise DeviceError if the port fails later.
     """
 
     def __init__(self, place: str, line: SerialLine, *, timeout_s: float) -> None:

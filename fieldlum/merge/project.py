@@ -438,7 +438,7 @@ def finished_map(
 def _shared_percents(view: ProjectedImage, weight: Floats, profile: CameraProfile) -> str:
     """Return the map's mean uncertainties by cause, in % of the luminance, as "scale=2 colour=1".
 
-    They are those that all pixels have in common. weight [n]: luminance times solid angle.
+    Only causes that all pixels have in common are listed. weight [n]: luminance times solid angle.
     """
 
     def mean(u_rel: Floats) -> float:

@@ -99,8 +99,9 @@ def take_samples(frames: Sequence[Signal]) -> list[FramePixels]:
 def _mean_cdm2(long: FramePixels, short: FramePixels) -> Floats32:
     """Return the mean luminance of two frames, weighted by the inverse variance, [...].
 
-    Its noise is uncorrelated with that of the frames' ratio. Pixels chosen by the light of the long
-    frame alone are those with positive noise there: at dusk frames then differed by 4 %.
+    The noise of this mean is uncorrelated with that of the frames' ratio. Pixels chosen by the
+    light of the long frame alone are those with positive noise there: at dusk frames then differed
+    by 4 %.
     """
     per_long, per_short = long.signal.per_cdm2, short.signal.per_cdm2
     unweighted = np.maximum((long.counts + short.counts) / (per_long + per_short), 0.0)

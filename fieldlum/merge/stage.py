@@ -64,7 +64,7 @@ class Verdict:
 class _MergeJob:
     """What the merge of one bracket needs besides its files.
 
-    It contains no path, because it is sent to workers on other computers.
+    The job contains no path, because it is sent to workers on other computers.
     """
 
     slot: str

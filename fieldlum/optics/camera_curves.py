@@ -1,8 +1,8 @@
 """Compute the curves of a camera: linearity of a sensor, vignetting of a lens, response of JPEG.
 
-A sensor's deviation from linearity is a polynomial over the full scale. Vignetting is V(r) = sum
-c_k r^k, V(0) = 1, with r the angle from the axis over half of the full angle. A response is a table
-of the linear light z (1 at full scale) of the 256 codes.
+A sensor's deviation from linearity is a polynomial in the share of the full scale. Vignetting is
+V(r) = sum c_k r^k, V(0) = 1, with r the angle from the axis over half of the full angle. A response
+is a table of the linear light z (1 at full scale) of the 256 codes.
 """
 
 from collections.abc import Sequence

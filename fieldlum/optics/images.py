@@ -2,8 +2,8 @@
 
 Panoramas are written as OpenEXR; RGB or luminance of other programs is read. Radiance pictures
 (RGBE, XYZE) are read through Radiance's own pvalue, which decodes flat, new and old run-length
-scanlines. It runs as a separate process, so that a damaged file cannot crash this one. It receives
-the pixels behind a plain header: exposure, primaries and orientation are applied here.
+scanlines. pvalue runs as a separate process, so that a damaged file cannot crash this one. It
+receives the pixels behind a plain header: exposure, primaries and orientation are applied here.
 """
 
 import errno

@@ -88,7 +88,7 @@ def full_dn(
 def curve_u_rel(profile: CameraProfile) -> float:
     """Return the relative uncertainty of the conversion from counts or codes to light.
 
-    It is that of the response for a JPEG camera, and that of the linearity for a raw camera.
+    A JPEG camera has the uncertainty of its response, a raw camera that of its linearity.
     """
     raw = profile.camera.kind == "raw"
     return profile.sensor.linearity_u_rel if raw else profile.response.u_rel

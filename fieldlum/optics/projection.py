@@ -288,8 +288,8 @@ def lens_rays(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
 class Equirect:
     """A panorama grid of `height` rows, zenith first, and 2 `height` columns, or a part of it.
 
-    Its vectors are x right, y ahead (the heading, at the middle column), z up. part: first row,
-    first column, rows and columns of the part; None for all of it.
+    Vectors of its pixels are x right, y ahead (the heading, at the middle column), z up. part:
+    first row, first column, rows and columns of the part; None for all of it.
     """
 
     height: int

@@ -68,8 +68,8 @@ def stray_cdm2(
 def _field(at: Floats, sources: Floats, light: Floats, table: Floats) -> Floats:
     """Return the stray light of sources at directions `at` [n, 3]: the sum of K times light, [n].
 
-    sources [m, 3]: unit vectors; light [m]: luminance times solid angle [cd/m2 sr]; table: K [1/sr]
-    at equal steps of sin(angle / 2).
+    sources: unit vectors of m sources [m, 3]; light [m]: luminance times solid angle [cd/m2 sr];
+    table: K [1/sr] at equal steps of sin(angle / 2).
     """
     out, block = np.zeros(len(at)), 512  # directions at a time, to limit memory
     for start in range(0, len(at), block):

@@ -1,7 +1,8 @@
 """Fit the turn of a camera to the differences of two pictures (Lucas and Kanade 1981).
 
 Both kinds of turn use it: within a bracket (`merge.shift`) and between captures
-(`learn.models.camera_turns`). They differ in what they compare, and in what else may change.
+(`learn.models.camera_turns`). The two uses differ in what they compare, and in what else may
+change.
 """
 
 from dataclasses import dataclass

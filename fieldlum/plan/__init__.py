@@ -83,8 +83,8 @@ def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> M
     """Return a mask [n]: True where a sun at these angles shines through a window of a box room.
 
     altitude_deg, azimuth_deg: [n] of the sun as the room receives it, azimuth clockwise from true
-    north. It shines through if one of 6 x 6 points (chosen) of the window is lit past reveals, bars
-    and obstructions. Raises InputError for a room of another kind, or an impossible one.
+    north. The sun shines through if one of 6 x 6 points (chosen) of the window is lit past reveals,
+    bars and obstructions. Raises InputError for a room of another kind, or an impossible one.
     """
     scene = build(room)
     suns = scene.to_room(sun.direction(altitude_deg, azimuth_deg))  # [n, 3]

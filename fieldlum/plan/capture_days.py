@@ -105,8 +105,8 @@ def days_of_set(
     user states none; today: the local standard date at the site.
 
     - 4-day: equinoxes and solstices; 12-day: with the days before and after; 9-day: the 12-day set
-      without September. They are of `year`, or else the next whose days are not before `start`, or
-      `today` without it.
+      without September. The days are of `year`; without a year they are the next that are not
+      before `start`, or not before `today` without `start`.
     - month: a number of `days` (default 31) from `start`; without it, centred on the March equinox
       of `year`, or on the next March or September equinox with all days from `today` on.
     - even, best: a number of `days` (default 365) from `start`, else from 1 January of `year`, else

@@ -44,8 +44,9 @@ def make_up(
 
     A make-up is at the same hour of standard time, on the earliest of the 370 days from tomorrow
     that has the missed day's declination within 0.2 deg (also on the other side of the solstice),
-    the sun up and within 12 deg of the missed one, and no planned slot at that time. It has the
-    exposures and tags of the missed slot, and the tag ``makeup:ID`` with the id of that slot.
+    the sun up and within 12 deg of the missed one, and no planned slot at that time. A make-up slot
+    has the exposures and tags of the missed slot, and the tag ``makeup:ID`` with the id of that
+    slot.
     """
     site, occupied = setup.site, {slot.id for slot in planned}
     days = span(sun.standard_date(now_utc, site.timezone) + timedelta(days=1), 370)
@@ -77,8 +78,8 @@ def _first_free(
 ) -> tuple[Slot, float] | None:
     """Return the make-up slot for a missed one, and the angle between their suns [deg].
 
-    It is at the first of `times` (UTC) that has no slot and the sun within 12 deg of the missed
-    one; None if there is none. occupied: ids of the slots of the plan.
+    The make-up slot is at the first of `times` (UTC) that has no slot and the sun within 12 deg of
+    the missed one; None if there is none. occupied: ids of the slots of the plan.
     """
     at = sun.position(times, site)
     missed_sun = sun.direction(missed.sun_altitude_deg, missed.sun_azimuth_deg)

@@ -65,12 +65,12 @@ class Comparison(NamedTuple):
 
     surfaces: of pictures, else empty; rows with the keys name; measured_cdm2, model_cdm2: mean
     luminances; pictures: their number; ratio, low, high: median and quartiles over the pictures of
-    the ratio of model over measured (see `surface_rows`). directions: of hourly figures, else
-    empty; rows with the keys azimuth_deg: clockwise from true north; figure: dgp or ev_lx, which
-    decides the unit of the means (none or lx); hours: number of shared ones; measured, model: means
-    over them; mean_abs: mean absolute difference; over, model_over: hours of disturbing glare,
-    measured and by the model (None for ev_lx). text: the sentences. files: paths of compare.csv
-    and compare.png.
+    the ratio of model to measured (see `surface_rows`). directions: of hourly figures, else empty;
+    rows with the keys azimuth_deg: clockwise from true north; figure: dgp or ev_lx, which decides
+    the unit of the means (none or lx); hours: number of shared ones; measured, model: means over
+    them; mean_abs: mean absolute difference; over, model_over: hours of disturbing glare, measured
+    and by the model (None for ev_lx). text: the sentences. files: paths of compare.csv and
+    compare.png.
     """
 
     surfaces: list[JsonTable]

@@ -117,7 +117,7 @@ class Share(NamedTuple):
     def above(self, limit: float) -> str:
         """Return whether the share exceeds a limit [%]: "yes", "no" or "cannot tell".
 
-        It cannot be decided if the limit is within the interval.
+        The answer is "cannot tell" if the limit is within the interval.
         """
         return "yes" if self.low > limit else "no" if self.high <= limit else "cannot tell"
 

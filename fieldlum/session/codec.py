@@ -63,9 +63,9 @@ def sealed(path: Path) -> Iterator[None]:
 def warn_if_changed(path: Path) -> str:
     """Return a sentence, and warn with it, if a file changed after fieldlum wrote it; else "".
 
-    It did if its SHA-256 is not that of its checksum file NAME.sha256; a file without one counts as
-    unchanged. The warning is a ChangedFileWarning. Raises OSError if the file has a checksum file
-    and cannot be read.
+    A file changed if its SHA-256 is not that of its checksum file NAME.sha256; a file without one
+    counts as unchanged. The warning is a ChangedFileWarning. Raises OSError if the file has a
+    checksum file and cannot be read.
     """
     checksum_file = _checksum_file(path)
     try:
@@ -95,10 +95,11 @@ def _checksum_file(path: Path) -> Path:
 def current_note(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> JsonTable | None:
     """Return the note of a result that need not be computed again, else None.
 
-    It need not if the note states the same inputs and all files exist. note: JSON file that is
-    written after the result, with its inputs under the key `inputs`, or as all of its content;
-    inputs: plain values that JSON can store; outputs: the result's files. A damaged note counts as
-    missing. Warns of a file that changed after it was written, with ChangedFileWarning.
+    A result need not be computed again if the note states the same inputs and all files exist.
+    note: JSON file that is written after the result, with its inputs under the key `inputs`, or as
+    all of its content; inputs: plain values that JSON can store; outputs: the result's files. A
+    damaged note counts as missing. Warns of a file that changed after it was written, with
+    ChangedFileWarning.
     """
     paths = list(outputs)
     try:

@@ -199,10 +199,10 @@ class Session:
     def slot_bytes(self) -> float:
         """Return the space on the disk to expect for a slot [bytes].
 
-        It is that of the plan, or of the largest of the last five complete brackets, because a
-        camera's files may differ much from the profile's estimate. 0 if SITE.toml names no camera
-        profile and no bracket is complete. A bracket is complete if it has a capture.json. Raises
-        InputError as `table` and `site_file` do.
+        It is the size that the plan states, or that of the largest of the last five complete
+        brackets, because a camera's files may differ much from the profile's estimate. 0 if
+        SITE.toml names no camera profile and no bracket is complete. A bracket is complete if it
+        has a capture.json. Raises InputError as `table` and `site_file` do.
         """
         folders = reversed(self.captured_folders())
         latest = islice((f for f in folders if self.capture_file(f.name).is_file()), 5)

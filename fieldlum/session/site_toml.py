@@ -60,9 +60,9 @@ def _zone_places() -> dict[str, tuple[float, float]]:
 def wrong_sign_text(site: Site) -> str:
     """Return a sentence if a latitude or longitude probably has the wrong sign; else "".
 
-    It has if the site is over 1500 km from the city of its time zone, and would be at most half as
-    far with another sign or with both numbers exchanged. A zone that is no city, such as UTC, is
-    not checked.
+    A sign is probably wrong if the site is over 1500 km from the city of its time zone, and would
+    be at most half as far with another sign or with both numbers exchanged. A zone that is no city,
+    such as UTC, is not checked.
     """
     city = _zone_places().get(site.timezone)
     lat, lon = site.latitude_deg, site.longitude_deg

@@ -148,7 +148,7 @@ def _clearness_brightness(
 def _shape(zenith: Floats, clearness: Floats, brightness: Floats) -> Floats:
     """Return the coefficients a, b, c, d, e of Perez's relative luminance, [n, 5].
 
-    zenith: angle of the sun from the zenith [n] rad; clearness, brightness: by
+    zenith: angle of the sun from the zenith in n hours [n] rad; clearness, brightness: by
     `_clearness_brightness` [n]. Each coefficient is x1 + x2 zenith + brightness (x3 + x4 zenith),
     with x1 to x4 looked up by clearness; in the overcast bin c and d have formulas of their own
     (Perez, Seals and Michalsky 1993).

@@ -169,7 +169,7 @@ def add_source(
     normal_lx: Floats,
     heading_deg: float,
 ) -> Floats32:
-    """Return maps [n, H, W] with a source of one pixel added to each.
+    """Return n maps [n, H, W] with a source of one pixel added to each.
 
     luminance_cdm2 [n, H, W]: without the sources. place_deg: altitudes and azimuths [n] of the
     sources, clockwise from true north. normal_lx [n]: illuminance on a plane normal to their

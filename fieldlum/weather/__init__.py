@@ -185,7 +185,7 @@ def _in_order(path: Path, rows: list[WeatherRow]) -> list[WeatherRow]:
 
 
 def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
-    """Return GHI, DHI and DNI of all rows, [3, n], W/m2, with each change listed in `repairs`.
+    """Return GHI, DHI and DNI of n rows, [3, n], W/m2, with each change listed in `repairs`.
 
     Negative readings become zero. Those below -5 W/m2 by day are a code such as -9, not an offset
     of an instrument: missing, NaN. So are a few hours by day without any light, which PVGIS writes

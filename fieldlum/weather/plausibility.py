@@ -72,9 +72,9 @@ def _label_shift_min(weather: Weather, station: _Sun) -> float | None:
 def _morning_excess(dni_wm2: Floats, station: _Sun, shift_min: float) -> float:
     """Return the relative excess of DNI in clear mornings over clear afternoons, -1 to 1.
 
-    It is the mean over altitudes of the difference over the sum, each at the quantile 0.8 of DNI.
-    dni_wm2 [n], station: of the file's hours; shift_min: added to all times. NaN without an
-    altitude at which both have 20 hours.
+    It is the difference of both divided by their sum, each at the quantile 0.8 of DNI, as a mean
+    over solar altitudes. dni_wm2 [n], station: of the file's hours; shift_min: added to all times.
+    NaN without an altitude at which both have 20 hours.
     """
     altitude, morning = station.altitude_deg(shift_min), station.is_morning(shift_min)
     excess = []

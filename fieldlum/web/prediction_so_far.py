@@ -1,9 +1,9 @@
 """Predict the year's glare classes from the captures so far, while a capture runs.
 
-The commands merge, pair, train and predict run at low priority, each in its own process. It is
-paused before a slot begins and continues after it, so that a capture on the same computer never
-waits. Merge and pair write into the session; the model and the year are in its folder watch/,
-separate from the user's own.
+The commands merge, pair, train and predict run at low priority, each in its own process. The
+running command is paused before a slot begins and continues after it, so that a capture on the same
+computer never waits. Merge and pair write into the session; the model and the year are in its
+folder watch/, separate from the user's own.
 """
 
 import os

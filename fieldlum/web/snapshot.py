@@ -286,8 +286,9 @@ def event_sentence(event: JournalEvent) -> tuple[Level, str] | None:
 def is_running(journal: JournalFollower) -> bool:
     """Return whether a capture runs on this computer, by the journal and the list of processes.
 
-    It does if the journal's open capture has the number of an existing process. It does not if the
-    journal has no open capture, or one that began before this boot or on another computer.
+    A capture runs if the journal's open capture has the number of an existing process. No capture
+    runs if the journal has no open capture, or one that began before this boot or on another
+    computer.
     """
     opened = journal.opened
     if opened is not None and opened.get("boot_id") in ("", None, boot_id()):

@@ -25,9 +25,9 @@ _PSF_PX = 0.5
 class LensSampling:
     """How the sensor pixels of one lens sample a panorama of H x W pixels.
 
-    geometry : of the lens; pixels [n] : flat indices of its sensor pixels; weights [n, H * W + h *
-    w] : share of each pixel of the panorama, then of its finer picture of h x w pixels if it has
-    one, in each sensor pixel; each row sums to 1.
+    geometry : of the lens; pixels [n] : flat indices of the n sensor pixels that it lights; weights
+    [n, H * W + h * w] : share of each pixel of the panorama, then of its finer picture of h x w
+    pixels if it has one, in each sensor pixel; each row sums to 1.
     """
 
     geometry: LensGeometry

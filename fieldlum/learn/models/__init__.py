@@ -43,7 +43,7 @@ _BROKEN = (IndexError, TypeError, ArithmeticError, MemoryError, RuntimeError)
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Predicted maps without the sun's disc, and their uncertainty.
+    """Predicted maps of n hours without the sun's disc, and their uncertainty.
 
     luminance_cdm2: [n, H, W] float32; log10_sd: standard deviation of log10 L [n, H, W], None if
     the model gives none; expected_mse: the model's own estimate of each map's log10 MSE, weighted

@@ -96,9 +96,9 @@ class NearestFitted:
     That map is scaled by the ratio of global irradiances of the two hours. If with_patch is True,
     the map's sun patch (surfaces in direct sun) is replaced by that of the predicted hour.
 
-    rest_cdm2: captured maps, without their sun patches if with_patch is True [m, H, W]; features:
-    by `similarity_features` [m, 5]; scale: by `level_wm2` [m]; domain: range of light in the
-    captures.
+    rest_cdm2: maps of m captures, without their sun patches if with_patch is True [m, H, W];
+    features: by `similarity_features` [m, 5]; scale: by `level_wm2` [m]; domain: range of light in
+    the captures.
     """
 
     rest_cdm2: Floats32

@@ -236,8 +236,8 @@ def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
 def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
     """Return ln L of maps and the seen pixels, averaged over blocks to 230 to 459 rows.
 
-    luminance_cdm2: [n, H, W]; seen_mask: [H, W]. Maps that cannot be divided into such blocks, or
-    have fewer rows, keep their size.
+    luminance_cdm2: of n captures [n, H, W]; seen_mask: [H, W]. Maps that cannot be divided into
+    such blocks, or have fewer rows, keep their size.
     """
     step = max(1, luminance_cdm2.shape[1] // 230)
     if luminance_cdm2.shape[1] % step or luminance_cdm2.shape[2] % step:
@@ -251,7 +251,7 @@ def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
 def camera_turns(luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float) -> CameraTurns:
     """Return how the camera of each capture was turned relative to most captures.
 
-    luminance_cdm2: panoramas in the order of time, without NaN [n, H, W]; seen_mask: True for
+    luminance_cdm2: n panoramas in the order of time, without NaN [n, H, W]; seen_mask: True for
     pixels with a value [H, W]; heading_deg: azimuth of the centre column, clockwise from north.
     Consecutive captures of one pose get their median turn; a turn too small to be certain is zero.
     With fewer than 5 captures or 40 rows of pixels, or if nothing was seen, all turns are zero and
@@ -316,8 +316,9 @@ def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:
 def _pieces(values: Array) -> list[tuple[int, int]]:
     """Cut a series into pieces of nearly constant values; return (start, stop) of each piece.
 
-    values: [n, k], in order. The cuts have the smallest sum of squared differences from the means
-    of the pieces, plus MOVE_COST for each piece (Potts model, by dynamic programming).
+    values: n rows of k values, in order [n, k]. The cuts have the smallest sum of squared
+    differences from the means of the pieces, plus MOVE_COST for each piece (Potts model, by dynamic
+    programming).
     """
     count = len(values)
     sums = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)))
@@ -351,10 +352,10 @@ def align(
 ) -> None:
     """Turn maps, masks and weights of captures back to the pose that most captures share, in place.
 
-    maps: [n, H, W] cd/m2; has_value: [n, H, W], True for measured pixels; counts: weights of the
-    pixels in training, 0 to 1 [n, H, W]; heading_deg: azimuth of the centre column, clockwise from
-    north; turns: by `camera_turns`. A capture that was not turned, or that cannot be aligned, does
-    not change.
+    maps: of n captures [n, H, W] cd/m2; has_value: [n, H, W], True for measured pixels; counts:
+    weights of the pixels in training, 0 to 1 [n, H, W]; heading_deg: azimuth of the centre column,
+    clockwise from north; turns: by `camera_turns`. A capture that was not turned, or that cannot be
+    aligned, does not change.
 
     Interpolation blurs sharp edges, such as a window's. Therefore each pixel's weight is multiplied
     by the weight of the uncertainty that this causes; a factor below a half becomes 0.

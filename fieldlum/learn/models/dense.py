@@ -6,8 +6,8 @@ Performance Simulation 13(5), 2020. Inputs, sizes and loss follow the paper; whe
 differs from their text, the text is followed.
 
 The loss of a batch is ``S / b + 10 sqrt(S / T)``, with S = sum(w e^2) and T = sum(w t^2) over its b
-pixels, their weights w, errors e and targets t. It depends on the network only through S, so that
-torchrun's processes add up S, T and b before, and the gradients after the backward pass.
+pixels, their weights w, errors e and targets t. The loss depends on the network only through S, so
+that torchrun's processes add up S, T and b before, and the gradients after the backward pass.
 """
 
 from __future__ import annotations
@@ -319,9 +319,9 @@ class PixelSampler:
 
     The index of a pair is the hour's index times P plus the pixel's index in `seen`. inputs: of all
     pixels of the map in the n hours; target: luminance of the map, encoded by `encode` to about 0
-    to 1 [n, P]; patch: luminance of the sun patch, encoded in the same way, 0 without patches [n,
-    P]; weight: of the pair in the loss: solid angle of the pixel divided by the mean one, times the
-    weight of its value in training [n, P]; seen: flat index of each pixel in the map [P]. The
+    to 1 [n, P]; patch: luminance of the sun patch, encoded in the same way, 0 without patches
+    [n, P]; weight: of the pair in the loss: solid angle of the pixel divided by the mean one, times
+    the weight of its value in training [n, P]; seen: flat index of each pixel in the map [P]. The
     length is n times P.
     """
 
@@ -352,7 +352,7 @@ def pixels_of(data: Dataset, pixels: Inputs, patch: Patch, device: torch.device)
     """
 
     def encoded(maps: Floats32) -> Tensor:
-        """Return the encoded luminance of the seen pixels of maps [n, H, W], [n, P]."""
+        """Return the encoded luminance of the P seen pixels of maps [n, H, W], [n, P]."""
         return torch.from_numpy(np.stack([encode(m[data.seen]) for m in maps])).to(device)
 
     target = encoded(data.luminance_cdm2)
@@ -459,8 +459,8 @@ class Trainer:
 def loss_value(parts: Tensor) -> float:
     """Return the loss MSE + 10 RER of a batch (Liu, Colburn and Inanici 2020).
 
-    parts: sums of `Trainer.sums` over all processes [3]. MSE is the first over the third, RER the
-    root of the first over the second.
+    parts: sums of `Trainer.sums` over all processes [3]. MSE is the first divided by the third, RER
+    the root of the first divided by the second.
     """
     error, target, count = parts.tolist()
     return error / count + 10.0 * math.sqrt(error / max(target, 1e-12))

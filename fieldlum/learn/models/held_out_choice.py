@@ -220,9 +220,9 @@ def beam_is_uncertain(data: Dataset) -> Mask:
 def is_badly_measured(data: Dataset) -> Mask:
     """Return a mask [n], True for hours whose pictures cannot contradict their irradiance.
 
-    Their beam is uncertain (`beam_is_uncertain`), or the errors of GHI and DHI exceed a tenth of
-    the light. A low sun shines straight into a room: at 5 degrees an error of 2 W/m2 in GHI - DHI
-    is a DNI of 23 W/m2.
+    In these hours the beam is uncertain (`beam_is_uncertain`), or the errors of GHI and DHI exceed
+    a tenth of the light. A low sun shines straight into a room: at 5 degrees an error of 2 W/m2 in
+    GHI - DHI is a DNI of 23 W/m2.
     """
     return beam_is_uncertain(data) | (offset_variance(data.light) > UNSURE)
 

@@ -170,9 +170,9 @@ def without_lamps(
     """Return the spots that can be images: dimmer than the sun, and moving as it moves.
 
     Omitted are spots brighter than the sun (lamps), spots at the place of a lamp, and spots that
-    are in one place, within `tolerance_rad`, while the sun moves by more than three times that
-    angle. It is 1 degree plus 0.75 pixels of the maps. suns [n, 3], direct_lx [n]: direction and
-    normal illuminance of the sun in all captures; height: rows of the maps.
+    are in one place, within `tolerance_rad` (1 degree plus 0.75 pixels of the maps), while the sun
+    moves by more than three times that angle. suns [n, 3], direct_lx [n]: direction and normal
+    illuminance of the sun in all captures; height: rows of the maps.
     """
     places, rows = _places_of(spots)
     same_place = places @ places.T > np.cos(tolerance_rad(height))  # [spots, spots]
@@ -205,8 +205,8 @@ def find_mirrors(
 def _best_mirror(rest: Sequence[SunImage], suns: Floats, height: int) -> MirrorPlane | None:
     """Return the mirror with the most images among the spots `rest`; None if none is certain.
 
-    It must explain the places of its images twice as well as one fixed place does. suns: directions
-    of the sun by capture [n, 3]; height: rows of the maps.
+    The mirror must explain the places of its images twice as well as one fixed place does. suns:
+    directions of the sun by capture [n, 3]; height: rows of the maps.
     """
     if len(rest) < _MIN_CAPTURES:
         return None
@@ -487,7 +487,7 @@ def _visible_chance(
 
 
 def _visible_share(cosine: Floats, pixels: Floats32, labels: Floats32, visible: Mask) -> Floats:
-    """Return the share of visible labels, weighted by their likeness to each of m pixels, [m].
+    """Return the share of visible labels, of k, weighted by likeness to each of m pixels, [m].
 
     cosine: of the angles between pixels and labels [m, k]; pixels [n, m], labels [n, k]: log10
     luminance of the pixels and of the labels' pixels in n captures; visible: the labels [k].

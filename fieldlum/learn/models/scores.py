@@ -154,7 +154,7 @@ def _chunks(rows: Ints64) -> Iterator[Ints64]:
 
 
 def _rammg(maps: Floats32, data: Dataset) -> Floats:
-    """Return RAMMG of maps [n, H, W] of the hours of `data`, with the true sun disc, [n] cd/m2."""
+    """Return RAMMG of maps of n hours [n, H, W], with the true sun disc of `data`, [n] cd/m2."""
     with_disc = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
     return np.array([metrics.rammg(image) for image in with_disc])
 
@@ -180,7 +180,7 @@ def evaluate(fitted: Fitted, test: Truth) -> Scores:
 
 
 def _log10(maps: Floats32, data: Dataset) -> Floats32:
-    """Return log10 L of maps [n, H, W] of the hours of `data`, with the true sun disc."""
+    """Return log10 L of maps [n, H, W] of the n hours of `data`, with the true sun disc."""
     with_disc = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
     return np.log10(np.maximum(with_disc, np.float32(FLOOR_CDM2)))
 
@@ -239,7 +239,7 @@ def _glare_errors(
     own_disc_dgp = metrics.dgp(*metrics.with_disc(glare, own_disc))
 
     def mean(values: Floats) -> Floats:
-        """Return the mean over the fully seen view directions, [k]; values: [k, 10]."""
+        """Return means over the fully seen of 10 directions, [k]; values: of k hours [k, 10]."""
         return values[:, test.full].mean(axis=1)
 
     scores.dgp_mse_own_disc[with_glare] = mean((own_disc_dgp - true_dgp) ** 2)

@@ -458,7 +458,7 @@ def _with_patches(path: Path, rows: Sequence[PairRow]) -> bool:
 def read_pictures(
     path: Path, rows: list[PairRow], setup: SiteFile, light: Light
 ) -> tuple[Dataset, Mask]:
-    """Read the maps and sun patches of the rows of a pairs.csv; return them with a mask [n, H, W].
+    """Read maps and sun patches of the n rows of a pairs.csv; return them with a mask [n, H, W].
 
     The mask is False at missing values of the maps, which are still in them, as are the sun's
     discs; later steps change the arrays in place. path: of the pairs.csv, to whose folder the names
@@ -550,10 +550,10 @@ def _checked(
 def fill_gaps(maps: Floats32, has_value: Mask) -> tuple[Mask, int]:
     """Fill missing values in `maps`, in place; return the used pixels and how many were filled.
 
-    maps: [n, H, W]; has_value: mask [n, H, W], False where a value is missing. A missing value gets
-    the pixel's median over the maps. A pixel that is missing in a fifth of the maps or more is not
-    used: it is False in the returned mask [H, W] and 0 in all maps. Negative values become 0.
-    Raises NotEnoughDataError if no pixel is used.
+    maps: of n captures [n, H, W]; has_value: mask [n, H, W], False where a value is missing. A
+    missing value gets the pixel's median over the maps. A pixel that is missing in a fifth of the
+    maps or more is not used: it is False in the returned mask [H, W] and 0 in all maps. Negative
+    values become 0. Raises NotEnoughDataError if no pixel is used.
     """
     seen_mask = has_value.mean(axis=0) > 0.8
     if not seen_mask.any():
@@ -585,7 +585,7 @@ def pixel_counts(panorama: Panorama) -> Floats16:
 
 
 def joined_counts(counts: Floats16, has_value: Mask) -> Floats16 | None:
-    """Return the weights of the pixels in all captures, [n, H, W]; None if all weights are 1.
+    """Return the weights of the pixels in n captures, [n, H, W]; None if all weights are 1.
 
     counts: result of `pixel_counts` for each capture [n, H, W], which is changed in place;
     has_value: mask [n, H, W], False where a value is missing, whose weight is 0. The weights of

@@ -504,8 +504,8 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
 def is_untrusted(fitted: Fitted, data: Dataset) -> bool:
     """Return whether held-out errors of the captures `data` are too large to trust any hour.
 
-    They are with a trimmed mean log10 MSE over 0.02 (`POOR_MSE`), or a median over a quarter of it.
-    False for a model without held-out errors.
+    They are too large with a trimmed mean log10 MSE over 0.02 (`POOR_MSE`), or a median over a
+    quarter of it. False for a model without held-out errors.
     """
     errors, weight, _ = _judged_errors(fitted, data)
     if not len(errors):

@@ -95,7 +95,7 @@ def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> 
 def _compared(
     data: Dataset, arrays: training_arrays.TrainingArrays, luminance: Floats
 ) -> tuple[Mask, Mask]:
-    """Return masks of the captures [n] and of the values [n, P] that can show a change.
+    """Return masks of n captures [n] and of values at P pixels [n, P] that can show a change.
 
     Captures need enough light. Window pixels, sun patches and pixels next to them are not compared.
     arrays: those of `data`; luminance: captured [n, P] cd/m2.
@@ -278,7 +278,8 @@ def find_unexplained(process: Process) -> Indices:
     """Return the indices [k] of captures whose light contradicts the others; empty if none.
 
     These are days, parts of days and single captures that are brighter or darker than the others.
-    They are removed one after the other, at most half of all, as long as four days remain.
+    Contradicting captures are removed one after the other, at most half of all, as long as four
+    days remain.
     """
     judged = rows = np.flatnonzero(process.judged)
     while len(np.unique(process.days[rows])) >= MIN_DAYS:

@@ -373,7 +373,8 @@ def _mean_model(
     """Return the mean of two models, with the shares that have the least squared held-out error.
 
     errors, stated_errors: of each model in the tests of `calibrate`: log10 of predicted over
-    captured luminance [k, P], of which the first `count` rows are of held-out days.
+    captured luminance in k tests at P pixels [k, P], of which the first `count` tests are of
+    held-out days.
     """
     gap = stated_errors - errors
     best = float((stated_errors * gap).sum() / max((gap**2).sum(), 1e-9))
@@ -764,7 +765,7 @@ class _Test(NamedTuple):
 
 
 def _held_out_variance(inverse: Array, hour_noise: Array, days: NDArray) -> Array:
-    """Return the variance of each captured hour, predicted from other days, in kernel units, [n].
+    """Return the variance of each of n captures, predicted from other days, in kernel units, [n].
 
     inverse: of the covariance between captures plus their noise [n, n]; hour_noise: the part of
     this noise that the result does not contain [n]; hours of equal `days` are held out together.

@@ -203,9 +203,10 @@ def solve(
 ) -> tuple[Array, Array]:
     """Return the coefficients b [P, r] and the gains [P, k] of every pixel.
 
-    They minimise the sum at the top of this module. basis: r features that all pixels share;
-    columns: k of each pixel; target [n, P]: captured luminance over total light and pixel scale;
-    weights [n, P]: of the targets; noise: variance of a target of weight 1.
+    They minimise the weighted sum of squared errors plus the prior's term that the top of this
+    module states. basis: r features that all pixels share; columns: k of each pixel; target [n, P]:
+    captured luminance over total light and pixel scale; weights [n, P]: of the targets; noise:
+    variance of a target of weight 1.
     """
     r = basis.values.shape[1]
     matrix, right = normal_equations(basis, columns, target, weights, noise)

@@ -55,11 +55,12 @@ class StateColumns:
     def features(self, light: Light) -> Features:
         """Return the features of the n hours of `light`, with columns for these states.
 
-        `lamps` [n, l] is 1 000 lx divided by the hour's total light while the lamp is on, else 0:
-        luminance is fitted as a share of the total light outside, of which a lamp's constant light
-        is less by day. With `always` the first column is a lamp that is on in all hours not marked
-        lamp=off; then follow the states `self.lamps`. `changed` [n, m] is 1 while the room is in
-        the state, else 0. Each is None without such columns.
+        `lamps` [n, l] is, for each of l lamps, 1 000 lx divided by the hour's total light while the
+        lamp is on, else 0: luminance is fitted as a share of the total light outside, of which a
+        lamp's constant light is less by day. With `always` the first column is a lamp that is on in
+        all hours not marked lamp=off; then follow the states `self.lamps`. `changed` [n, m] is, for
+        each of m other states, 1 while the room is in it, else 0. Each is None without such
+        columns.
         """
         features, states = light_features(light), light.states or ("",) * len(light)
         if self.always or self.lamps:
@@ -105,12 +106,12 @@ def open_sky_from_captures(
 ) -> OpenSky:
     """Find the window pixels without any geometry: they follow the Perez sky behind them.
 
-    luminance, patch: luminance of captures and of sun patches [n, P] cd/m2, patch is None if
-    unknown; rays: unit vectors of the pixels, x east, y north, z up [P, 3]. Own method: a pixel
-    above the horizon is a window if, over the hours, the logarithm of luminance over sky scatters
-    less than half as much as that of luminance over total light, and luminance over sky is that of
-    glass (0.05 to 1.2). Its `share` is the 10th percentile of luminance over sky, so that the sky
-    rarely exceeds the captured luminance.
+    luminance, patch: luminance of n captures and of sun patches at P pixels [n, P] cd/m2, patch is
+    None if unknown; rays: unit vectors of the pixels, x east, y north, z up [P, 3]. Own method: a
+    pixel above the horizon is a window if, over the hours, the logarithm of luminance over sky
+    scatters less than half as much as that of luminance over total light, and luminance over sky is
+    that of glass (0.05 to 1.2). Its `share` is the 10th percentile of luminance over sky, so that
+    the sky rarely exceeds the captured luminance.
     """
     above = np.flatnonzero(rays[:, 2] > 0.0)
     captured = np.maximum(luminance[:, above], MIN_CDM2)
@@ -149,7 +150,7 @@ class PatchLight:
         """Return the divisors for the n captures of `light`.
 
         patch: luminance of sun patches [n, H, W] cd/m2; window: mask [H, W], True at window pixels.
-        They are 1 if no sunny capture has a patch.
+        The divisors are 1 if no sunny capture has a patch.
         """
         cells = _patch_cells(patch, window)
         # Less direct light than 20 lx is not visible in a room.
@@ -190,7 +191,7 @@ def _cell_roots(shape: tuple[int, ...]) -> Floats:
 
 
 def _patch_cells(patch: Floats, window: Mask) -> Floats:
-    """Return the light of sun patches in each cell over the root of its solid angle, [n, c].
+    """Return light of sun patches in each of c cells over the root of its solid angle, [n, c].
 
     patch: luminance of sun patches [n, H, W] cd/m2; window: mask of pixels that do not count.
     """
@@ -320,7 +321,7 @@ def _patches_unknown(data: Dataset) -> Mask:
 
 
 def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
-    """Return each pixel's usual luminance, without sky and sun patch, per lx of total light, [P].
+    """Return P pixels' usual luminance without sky and sun patch, per lx of total light, [P].
 
     arrays: of n captures. The result is a geometric mean over the hours in which at most half of
     the pixel's luminance is window sky and at most 30 % is sun patch. per: luminance [n, P] cd/m2
@@ -347,9 +348,9 @@ def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
 def computed_light(arrays: TrainingArrays, luminance: Floats32, perez: Floats32) -> ComputedLight:
     """Return computed luminance at the level that the captures show at each pixel.
 
-    luminance, perez: computed under the skies of the fit and under Perez's [n, P] cd/m2. The gain
-    is captured luminance over `luminance`, limited to a factor of 20 below or above the median of
-    all pixels.
+    luminance, perez: computed under the skies of the fit and under Perez's, for n hours and P
+    pixels [n, P] cd/m2. The gain is captured luminance over `luminance`, limited to a factor of 20
+    below or above the median of all pixels.
     """
     # Any wall by day is far brighter than 1e-3 cd/m2, below which computed light has no meaning.
     gain = pixel_scale(arrays, np.maximum(luminance, np.float32(1e-3)))
@@ -394,8 +395,8 @@ def seen_sky(arrays: TrainingArrays) -> Floats32 | None:
 def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     """Return how much brighter than usual windows showed k sky patches, and their directions.
 
-    The first is ln of the patch's ratio to Perez's sky over its median in the captures [n, k], NaN
-    where a capture does not show the patch; the second are unit vectors [k, 3].
+    The first is ln of the patch's ratio to Perez's sky over its median in the n captures [n, k],
+    NaN where a capture does not show the patch; the second are unit vectors [k, 3].
     """
     window = arrays.open_sky.index
     perez = arrays.sky[:, window]  # [n, w]

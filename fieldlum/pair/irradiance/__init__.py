@@ -85,7 +85,8 @@ def poll_period_s(t_unix_s: Floats) -> float:
 def local_period_s(t_unix_s: Floats) -> Floats:
     """Return the usual time [s] between two rows near each row, [n]: the median of 64 rows.
 
-    It varies because one session can have several loggers. t_unix_s: of the rows [n], ascending.
+    This time varies because one session can have several loggers. t_unix_s: of the rows [n],
+    ascending.
     """
     step = np.diff(t_unix_s, prepend=t_unix_s[:1] - poll_period_s(t_unix_s))
     blocks = [step[first : first + _BLOCK] for first in range(0, len(step), _BLOCK)]
@@ -204,9 +205,9 @@ def _stuck(t_unix_s: Floats, ghi: Floats, altitude: Floats) -> Mask:
 def _saturated(ghi: Floats) -> Mask:
     """Return a mask [n] of rows at the end of an instrument's or logger's range.
 
-    ghi [n] W/m2. It is the largest value, if the log returns to it at least three times, and if
-    more rows, at least ten, have exactly this value than one up to 5 % below it. A clear noon is
-    within 0.5 % of its largest value for a third of the time within 5 %.
+    ghi [n] W/m2. The end of the range is the largest value, if the log returns to it at least three
+    times, and if more rows, at least ten, have exactly this value than one up to 5 % below it. A
+    clear noon is within 0.5 % of its largest value for a third of the time within 5 %.
     """
     top = np.nanmax(ghi, initial=100.0)  # a lower one is that of dark days; chosen
     full, near = ghi == top, np.count_nonzero(ghi >= 0.95 * top)
@@ -217,7 +218,7 @@ def _saturated(ghi: Floats) -> Mask:
 def suspicions(series: Series, altitude: Floats, top: Floats, site: Site) -> Ints64:
     """Return the marks K_INDEX and HORIZON of each row, or 0, [n].
 
-    They show impossible ratios of the components and a hidden sun, and leave the values as they
+    The marks show impossible ratios of the components and a hidden sun; the values remain as they
     are. Rows with derived components are not tested. altitude [n] deg, top [n] W/m2: from
     `sky_geometry`.
     """

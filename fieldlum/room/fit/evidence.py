@@ -250,7 +250,7 @@ def scene_evidence(
 
 
 def _clock_table(data: Dataset, rows: Indices) -> Floats:
-    """Return altitude and azimuth of the sun, deg, for each minute of the clock's error, [c, n, 2].
+    """Return altitude and azimuth of the sun, deg, for c minutes of the clock's error, [c, n, 2].
 
     Stated times are -20 ... 20 min after the true ones. The captures' own sun angles are shifted by
     the sun's motion in that time. rows: indices of the n hours in the captures.
@@ -285,9 +285,10 @@ def _draw_pixels(data: Dataset, guess: Guess, count: int) -> Indices:
 
 
 def _rays_in(chosen: Indices, rays: Floats, pixel: NDArray[np.integer]) -> tuple[Floats, Indices]:
-    """Return the rays in chosen pixels [k, 3], and for each the index of its pixel in `chosen` [k].
+    """Return k rays in chosen pixels [k, 3], and for each the index of its pixel in `chosen` [k].
 
-    chosen: indices of pixels [m], ascending; rays [r, 3]; pixel: index of each ray's pixel [r].
+    chosen: indices of m pixels [m], ascending; rays: all r rays [r, 3]; pixel: index of each ray's
+    pixel [r].
     """
     of = np.isin(pixel, chosen)
     return rays[of], np.searchsorted(chosen, pixel[of])

@@ -177,8 +177,8 @@ class SceneSearch:
     def _gain(self, without: Guess, with_it: Guess) -> float:
         """Return the share of the cost that an element saves; -inf if it can be by chance.
 
-        It can be by chance if the mean over the hours is not over its standard error. without,
-        with_it: the guesses without and with the element.
+        The saving can be by chance if its mean over the hours does not exceed the standard error of
+        that mean. without, with_it: the guesses without and with the element.
         """
         cost = self.cost()
         before, after = (cost.by_hour(guess) for guess in (without, with_it))

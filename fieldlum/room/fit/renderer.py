@@ -76,7 +76,7 @@ def unit_patches(
     """Return the sun patches of n suns in m pixels, per lx on the sun's normal, [n, m].
 
     A pixel has the mean, over its rays, of tone x cosine x glass x visible share of the sun. Times
-    the sun's illuminance over pi it is the luminance of the sun patch. ends: of r rays; suns_room:
+    the sun's illuminance / pi it is the luminance of the sun patch. ends: of r rays; suns_room:
     unit vectors in room axes [n, 3]; pixel: index of each ray's pixel [r]; sub x sub rays make a
     pixel; tone: a factor of each ray, such as albedo [r].
     """

@@ -1,7 +1,7 @@
 """Reject captures that no scene can explain, before a search.
 
-It is an error if the windows are at other places in the pictures than in the stated room. Captures
-of another view are left out when they are read (`learn.models`).
+Captures are rejected if the windows are at other places in the pictures than in the stated room.
+Captures of another view are left out when they are read (`learn.models`).
 """
 
 import numpy as np

@@ -444,7 +444,7 @@ class LitRoom:
     def _tints(self) -> tuple[Floats32, Floats32]:
         """Colours of the pieces [p, 3] and of the pixels [pixels, 3], by their surfaces.
 
-        They are factors on the reflectances; a pixel has the mean of its surfaces.
+        Colours are factors on the reflectances; a pixel has the mean of its surfaces.
         """
         scene, s, p = self.view.scene, self.view.samples, self.pieces
         tints = np.array([_tint(box.kind) for box in scene.boxes])

@@ -311,10 +311,10 @@ def _past_bars(
 ) -> float:
     """Return the share of the sun's light, 0 to 1, that passes an opening's bars.
 
-    bars [b, 5]: upright (1) or level (0), from and to across the bar, from and to outwards from the
-    inner face, m; u, z: along the wall and in height, where the line to the sun meets the wall's
-    inner face [m]; slope_u, slope_z: by how much they change per metre outwards; soft: width of the
-    shade's edges [m].
+    bars [b, 5]: for each of b bars upright (1) or level (0), from and to across the bar, from and
+    to outwards from the inner face, m; u, z: along the wall and in height, where the line to the
+    sun meets the wall's inner face [m]; slope_u, slope_z: by how much they change per metre
+    outwards; soft: width of the shade's edges [m].
     """
     share = 1.0
     for bar in range(len(bars)):  # columns: upright, span from and to, depth from and to
@@ -335,12 +335,12 @@ def add_through(
 
     A point adds weight x cosine x glass x visible share. opening: axis of the wall's normal, its
     sign outwards, inner and outer face, u from and to, z from and to [8]; u is along the wall. bars
-    [b, 5]: upright (1 or 0), span from and to, depth from and to, outwards from the inner face.
-    low, high: corners of boxes that shade [s, 3]. For each point: position [r, 3], slightly above
-    its surface; face: direction of its normal, 0, 1, 2 for +x, +y, +z, 3, 4, 5 for -x, -y, -z, -1
-    for one that no sun reaches; softness: width over which an edge's shade grows, m; weight;
-    target: column of `totals`. suns: unit vectors [n, 3]; glass: transmittance at each [n]; totals
-    [n, targets]: changed in place.
+    [b, 5]: for each of b bars upright (1) or level (0), span from and to, depth from and to,
+    outwards from the inner face. low, high: corners of boxes that shade [s, 3]. For each point:
+    position [r, 3], slightly above its surface; face: direction of its normal, 0, 1, 2 for +x, +y,
+    +z, 3, 4, 5 for -x, -y, -z, -1 for one that no sun reaches; softness: width over which an edge's
+    shade grows, m; weight; target: column of `totals`. suns: unit vectors [n, 3]; glass:
+    transmittance at each [n]; totals [n, targets]: changed in place.
     """
     axis, outward = int(opening[0]), opening[1]
     along, inner, thickness = 1 - axis, opening[2], (opening[3] - opening[2]) * opening[1]

@@ -135,7 +135,7 @@ class ScoresFile(JsonFile, frozen=True):
     def judged_row(self) -> dict[str, Any] | None:
         """Row of the chosen model, as `ScoreRow`; None if it has no held-out error.
 
-        It has none for example if the time limit of the training ended before.
+        A model has no held-out error for example if the time limit of the training ended before.
         """
         row = next((row for row in self.models if row.get("name") == self.chosen), None)
         return row if row is not None and row.get("median") is not None else None
@@ -150,7 +150,7 @@ MAX_MAPS = 150  # most maps in the file, spread evenly: 4 MB at 116 x 58; chosen
 
 @dataclass(frozen=True, slots=True)
 class HeldOutMaps:
-    """Measured and predicted maps of held-out hours, in the order of the folds.
+    """Measured and predicted maps of n held-out hours, in the order of the folds.
 
     slots: ids [n]; log10_mse: mean squared error of log10 luminance, weighted by solid angle, [n];
     measured_log10, predicted_log10: log10 of luminance in cd/m2 [n, h, w], float16 (to 0.2 %),

@@ -232,9 +232,9 @@ class Sidecar(JsonFile, frozen=True):
 def warn_if_picture_changed(picture: Path, stage: str = "merge") -> None:
     """Warn with ChangedFileWarning if a picture changed after its stage wrote it.
 
-    It did if its SHA-256 is not the one that its sidecar (the JSON file of the same name) records;
-    a picture without a readable sidecar counts as unchanged. stage: the command that writes it.
-    Raises OSError if the picture cannot be read.
+    A picture changed if its SHA-256 is not the one that the sidecar (the JSON file of the same
+    name) records; a picture without a readable sidecar counts as unchanged. stage: the command that
+    writes it. Raises OSError if the picture cannot be read.
     """
     with suppress(InputError):
         sidecar = read_object(picture.with_suffix(".json"), "", "")

@@ -395,9 +395,9 @@ def _undecided(
 def _sun_is_behind(light: Light, rays: Floats) -> bool:
     """Return whether no clear capture has the sun in front of most of the window.
 
-    light: outside at the captures; rays: directions of the window that the sun reaches [p, 3]. It
-    is False if less than a quarter of the captures are clear: the spread over all captures is
-    robust against so few.
+    light: outside at the captures; rays: directions of the window that the sun reaches [p, 3]. The
+    answer is False if less than a quarter of the captures are clear: the spread over all captures
+    is robust against so few.
     """
     clear_share = (light.direct_lx > STRONG_BEAM_LX).mean()
     is_lit = sun_in_front(light, rays).any(axis=0)

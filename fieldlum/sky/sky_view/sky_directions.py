@@ -40,11 +40,11 @@ _CHUNK_VALUES = 4_000_000  # of directions at a time, in one array: 30 MB; chose
 class Followed:
     """How the luminance of p directions follows the sky's over the captures; arrays [p].
 
-    ratio: median over the captures of luminance over the sky's in that direction; spread: standard
-    deviation of ln(luminance / sky) over that of ln(luminance / E), where E is the diffuse or the
-    total illuminance, whichever the direction follows better (infinite in pixels that under six
-    captures show); count: captures that show it; forward: ln of the factor by which luminance over
-    diffuse light rises with the sun in front of the camera.
+    ratio: median over the captures of luminance divided by the sky's in that direction; spread:
+    standard deviation of ln(luminance / sky) over that of ln(luminance / E), where E is the diffuse
+    or the total illuminance, whichever the direction follows better (infinite in pixels that under
+    six captures show); count: captures that show it; forward: ln of the factor by which luminance
+    over diffuse light rises with the sun in front of the camera.
     """
 
     ratio: Floats
@@ -197,7 +197,7 @@ def dark_shares(luminance: Floats32, light: Light, rays: Floats, shade: float) -
 
 
 def _most_alike(values: Floats | Floats32) -> tuple[Floats, Floats]:
-    """Return median and standard deviation of the closest 40 % of the values [n, p], [p] each."""
+    """Return median and standard deviation of the closest 40 % of n values [n, p], [p] each."""
     ordered, many = np.sort(values, axis=0), round(0.4 * len(values))
     width = np.nan_to_num(ordered[many:] - ordered[: len(ordered) - many], nan=np.inf)
     first = np.argmin(width, axis=0)[None]
@@ -209,7 +209,7 @@ def _most_alike(values: Floats | Floats32) -> tuple[Floats, Floats]:
 def _other_spread(measured: Floats32, light: Light) -> Floats:
     """Return the spread of ln(luminance / E), [p]; E: the better of diffuse and total illuminance.
 
-    measured: ln of luminance [n, p]; light: outside at the n captures.
+    measured: ln of luminance in p directions [n, p]; light: outside at the n captures.
     """
     spreads = [_level_spread(measured - np.log(lx)[:, None])[1] for lx in _other_lx(light)]
     return np.minimum(*spreads)
@@ -247,7 +247,7 @@ def sun_in_front(light: Light, rays: Floats) -> Mask:
 
 
 def _level_spread(values: Floats | Floats32) -> tuple[Floats, Floats]:
-    """Return median and robust standard deviation of the values [n, p] without NaN, [p] each.
+    """Return median and robust standard deviation of n values [n, p] without NaN, [p] each.
 
     The latter is half the range from the 16th to the 84th percentile.
     """

@@ -55,7 +55,7 @@ def heading_by_sky(
 
 
 def _log_ratio(luminance: Floats32, light: Light, rays: Floats) -> Floats:
-    """Return ln of luminance [n, p] over that of Perez's sky in directions [p, 3], [n, p]."""
+    """Return ln of (luminance [n, p] / that of Perez's sky) in p directions [p, 3], [n, p]."""
     return usable_log(luminance, light, rays) - np.log(np.maximum(light.sky_at(rays), 1e-3))
 
 
@@ -64,7 +64,7 @@ def _turns(off: Floats, slope: Floats, light: Light, rays: Floats) -> tuple[Floa
 
     off [n, p]: ln of the measured over Perez's luminance in directions `rays` [p, 3]; slope [n, p]:
     by how much one degree of turn raises `off`; light: of the n hours. A constant, a factor on the
-    log of the sky and a gradient over altitude are no turn: they are projected out. NaN for hours
+    log of the sky and a gradient with altitude are no turn: they are projected out. NaN for hours
     with fewer than ten usable directions.
     """
     altitude = np.arcsin(np.clip(rays[:, 2], -1.0, 1.0))

@@ -66,7 +66,7 @@ def drawn_shares(
     """Return the disc's share of the beam in `count` draws of pose and view, [count, n].
 
     A draw has one pose and one position between the bounds of the view (-1: low, 0: best, 1: high)
-    for all n hours of `light`. It is NaN in directions that no lens saw, 0 without a beam.
+    for all n hours of `light`. A share is NaN in directions that no lens saw, 0 without a beam.
     """
     poses = view.pose.drawn(rng, count)
     # Spread evenly; 4 % reach each bound, so that their 2.5th percentile is the bound itself: DGP

@@ -201,8 +201,8 @@ def glare_directions(
 def _sums_of_sources(by_map: Sequence[Sources], map_ev: Floats) -> tuple[Floats, Floats, Floats]:
     """Return Ev of the glare sources [n, d] lx, the background luminance [n, d], and sums of terms.
 
-    by_map : the sources of each of n maps; map_ev : Ev of the complete maps [n, d] lx. The sums [3,
-    n, d] are those of the rows of `source_terms` over the sources of a map.
+    by_map : the sources of each of n maps; map_ev : Ev of the complete maps in d view directions
+    [n, d] lx. The sums [3, n, d] are those of the rows of `source_terms` over the sources of a map.
     """
     # number of the map of each source, and all maps' sources one after another, [s, d] each
     hour = np.repeat(np.arange(len(by_map)), [len(one_map.pixels) for one_map in by_map])
@@ -223,8 +223,9 @@ def _sums_of_suns(
 ) -> tuple[Floats, Floats]:
     """Return Ev of the sun and its images [n, d] lx, and the sums of their terms [3, n, d].
 
-    sun : unit vectors [n, 3], or [m, n, 3] of the sun and images; disc_lx : normal illuminance from
-    each [n, 1], or [m, n, 1]; background : luminance [n, d] cd/m2. Terms: rows of `source_terms`.
+    sun : unit vectors for n maps [n, 3], or for m discs, the sun and its images [m, n, 3];
+    disc_lx : normal illuminance from each [n, 1], or [m, n, 1]; background : luminance [n, d]
+    cd/m2. Terms: rows of `source_terms`.
     """
     right, up, cosine = _sun_angles(sun, views)  # [n, d], or [m, n, d]
     ev, cdm2 = disc_lx * np.clip(cosine, 0.0, None), disc_lx * (cosine > 0) / SUN_SOLID_ANGLE_SR

@@ -103,11 +103,11 @@ def dgp_uncertainty(
 ) -> Floats:
     """Return the standard uncertainty of DGP, [n, d], by first-order propagation.
 
-    ev_lx : [n, d] vertical illuminance; contrast : [n, d] sum of L^2 omega / P^2 over sources;
-    ev_relative, source_relative : [n, d] relative standard uncertainties of Ev and of the luminance
-    of sources. The error of Ev has opposite signs in the Ev term and in the contrast term, but both
-    are added: the result is larger than the true uncertainty. The sources' error is assumed to be
-    independent.
+    ev_lx : vertical illuminance of n hours in d view directions [n, d]; contrast : [n, d] sum of
+    L^2 omega / P^2 over sources; ev_relative, source_relative : [n, d] relative standard
+    uncertainties of Ev and of the luminance of sources. The error of Ev has opposite signs in the
+    Ev term and in the contrast term, but both are added: the result is larger than the true
+    uncertainty. The sources' error is assumed to be independent.
     """
     ratio = contrast / np.maximum(ev_lx, 1e-6) ** 1.87
     slope = DGP_CONTRAST / np.log(10.0) * ratio / (1.0 + ratio)
@@ -176,8 +176,9 @@ def _interval(
 ) -> tuple[Floats, Floats]:
     """Return the ends of the 95 % interval of dgp_exceeded for each direction, [d] each.
 
-    dgp [n, d]: that of the lit occupied hours; u_common [n, d]: standard uncertainty by an error
-    that all hours share; occupied_hours: number of lit and dark ones; uncertainty: that of `dgp`.
+    dgp [n, d]: that of the n lit occupied hours in d view directions; u_common [n, d]: standard
+    uncertainty by an error that all hours share; occupied_hours: number of lit and dark ones;
+    uncertainty: that of `dgp`.
     """
     ends = []
     bounds = np.stack([uncertainty.minimum, uncertainty.maximum])  # [2, n, d]

@@ -186,10 +186,11 @@ def year_budget(
 ) -> list[Budget]:
     """Return the budget of the DGP that is exceeded in 5 % of the occupied hours, by direction.
 
-    dgp, ev_lx [n, d], uncertainty: those of the n lit occupied hours; occupied_hours: number of lit
-    and dark ones; azimuths_deg: the view directions [d], clockwise from north. u_camera_rel:
-    relative standard uncertainty by each part of the camera's calibration. Another year's weather,
-    a blind that moves and clouds that move within the hour are not in it.
+    dgp, ev_lx [n, d], uncertainty: those of the n lit occupied hours in d view directions;
+    occupied_hours: number of lit and dark ones; azimuths_deg: the view directions [d], clockwise
+    from north. u_camera_rel: relative standard uncertainty by each part of the camera's
+    calibration. Another year's weather, a blind that moves and clouds that move within the hour are
+    not in it.
     """
     name, per_scale = "DGP exceeded in 5 %", standards.dgp_per_scale(dgp, ev_lx)
 

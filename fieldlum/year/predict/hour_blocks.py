@@ -231,8 +231,8 @@ def begin_maps(folder: Path, hours: int, room: ModelRoom) -> Path:
 def write_maps(store: Path, start: int, maps: Floats32) -> None:
     """Write maps [n, H, W] cd/m2 into a store of `begin_maps`, rounded to 0.01 %.
 
-    start: index of the first of these n hours in the year, from 0. It must be a multiple of 64, and
-    n at most 64, so that no other process writes into the same shard, which has 64 hours.
+    start: index of the first of these n hours in the year, from 0. `start` must be a multiple of
+    64, and n at most 64, so that no other process writes into the same shard, which has 64 hours.
     """
     import zarr
 
@@ -387,7 +387,8 @@ class HourJudge:
     ) -> tuple[Floats, Floats]:
         """Return Ev and contrast of DGP in m draws of the sun's place and visibility, [m, k, d].
 
-        figures: result of `glare`; discs_lx: illuminance of the sun's disc in the draws [m, k].
+        figures: result of `glare` for k hours in d view directions; discs_lx: illuminance of the
+        sun's disc in the draws [m, k].
         """
         # the poses that `discs_of` draws
         poses = self._pose.drawn(np.random.default_rng([0, 2]), len(discs_lx))
@@ -431,8 +432,8 @@ def relative_uncertainty(
 def _images(block: HourBlock, views: Views, count: int) -> Iterator[metrics.DiscLight]:
     """Yield the light of the sun's image in each mirror, in `count` draws of its visibility.
 
-    The draws are illuminances [count, k] lx, 0 where the image is hidden. Draw i (from 0) shows it
-    in the hours whose chance of a visible image exceeds (i + 0.5) / count.
+    The draws are illuminances in k hours [count, k] lx, 0 where the image is hidden. Draw i (from
+    0) shows it in the hours whose chance of a visible image exceeds (i + 0.5) / count.
     """
     draws = (np.arange(count)[:, None] + 0.5) / count
     for image in block.images:
@@ -457,10 +458,11 @@ def room_figures(
 def discs_of(room: ModelRoom, light: Light) -> tuple[Floats, Floats]:
     """Return the sun disc's illuminance in n hours [n] lx, and m = 64 random draws of it [m, n] lx.
 
-    It is that of the part that the lens sees, on a plane normal to the sun; 0 where the disc is
-    hidden. The first is the most likely one (`disc_lx`). Each draw varies the sky view, the
-    camera's pose and the beam's luminous efficacy within their uncertainties (`drawn_discs_lx`),
-    always by the same random numbers. Raises InputError for an impossible room.
+    It is caused by the part of the disc that the lens sees, on a plane normal to the sun; 0 where
+    the disc is hidden. The first result is the most likely illuminance (`disc_lx`). Each draw
+    varies the sky view, the camera's pose and the beam's luminous efficacy within their
+    uncertainties (`drawn_discs_lx`), always by the same random numbers. Raises InputError for an
+    impossible room.
     """
     rng = np.random.default_rng([0, 2])
     view, setup = room.sky_view, room.setup
@@ -476,8 +478,8 @@ class _HoursJob(NamedTuple):
 
     model, store: folders of the model and of the maps (see `begin_maps`; "" for none), relative to
     the folder of the unit of work; digest: sha256 of the model's files; start: index of the first
-    hour in the year; disc_lx [n], discs_lx [m, n]: results of `discs_of` for these hours;
-    pose: of the sky view by which these are computed.
+    hour in the year; disc_lx [n], discs_lx [m, n]: results of `discs_of` for these n hours and m
+    draws; pose: of the sky view by which these are computed.
     """
 
     model: str

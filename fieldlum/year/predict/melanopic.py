@@ -146,7 +146,8 @@ def _parts(light: Light, sun_share: Floats, lamp_share: Floats) -> Floats:
     """Return the light that each weight of `MelanopicYear` multiplies, [n, d, 4].
 
     These are shares (0 to 1) of the light at the eye: of the sky, of the sky times its clearness,
-    of the sun times its own ratio, and of lamps. sun_share, lamp_share: [n, d].
+    of the sun times its own ratio, and of lamps. sun_share, lamp_share: of n hours in d directions
+    [n, d].
     """
     beam = horizontal_beam(light.dni_wm2, light.sun_altitude_deg)
     clear = (beam / np.maximum(beam + light.dhi_wm2, 1.0))[:, None]
@@ -193,7 +194,7 @@ def _solve(parts: Floats, ratio: Floats) -> tuple[Floats, Floats]:
     """Return the weights [4] by relative least squares, and the factors of the directions [d].
 
     parts: what the weights multiply, by `_parts` [n, d, 4]; ratio: melanopic over photopic
-    illuminance of the captures [n, d]. Few captures are pulled towards typical weights.
+    illuminance of n captures [n, d]. Few captures are pulled towards typical weights.
     """
     rows = (parts / ratio[..., None]).reshape(-1, len(_TYPICAL))
     # rms of what each weight multiplies; the minimum keeps the weight of absent lamps typical

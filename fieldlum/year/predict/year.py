@@ -166,7 +166,7 @@ def _about(
 
 
 def _columns(figures: HourFigures) -> dict[str, np.ndarray]:
-    """Return the figures of views that hourly.csv has, by column, [n, d] each.
+    """Return the figures of n hours and d views that hourly.csv has, by column, [n, d] each.
 
     Melanopic columns without colour are NaN.
     """
