@@ -60,11 +60,10 @@ class Colours:
 class ColourFit(NamedTuple):
     """Fitted coefficients from camera colours to luminance, with uncertainty and residuals.
 
-    y_from_rgb: weights of R, G, B in the luminance. scale: readings over the luminance by
+    y_from_rgb: weights of R, G, B in the luminance. scale: readings divided by the luminance by
     y_from_rgb, a factor on k that y_from_rgb does not contain (of a chart in the unit of its y).
-    residual [n]: luminance by camera, with `scale`, over the reading minus 1, also for omitted
-    readings. u_rel: relative rms of the held-out errors. choice: how the number of coefficients was
-    chosen.
+    residual [n]: (luminance by camera, with `scale`) / reading - 1, also for omitted readings.
+    u_rel: relative rms of the held-out errors. choice: how the number of coefficients was chosen.
     """
 
     y_from_rgb: tuple[float, float, float]

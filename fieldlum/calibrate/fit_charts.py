@@ -34,9 +34,9 @@ class Place(NamedTuple):
 class Chart:
     """The content of a figure of a fit to n readings: curves, residuals, and places on a picture.
 
-    residual_rel [n]: reading over fit minus 1, to first order; places [n]: where the readings were
-    taken, empty if unknown; x, y: label and values [n] of the axes, y those of the readings; fitted
-    [n]: y by the fit. Without x the readings are numbered; without y only the places are drawn.
+    residual_rel [n]: reading / fit - 1, to first order; places [n]: where the readings were taken,
+    empty if unknown; x, y: label and values [n] of the axes, y those of the readings; fitted [n]: y
+    by the fit. Without x the readings are numbered; without y only the places are drawn.
     """
 
     title: str

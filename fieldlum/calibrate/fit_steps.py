@@ -55,7 +55,7 @@ def choose(
 ) -> OrderSelection:
     """Return the smallest candidate within one standard error of the best, with a line of text.
 
-    candidates: for each its name, the size (number of free parameters, or a rank in their order),
+    candidates: for each its name, the size (number of free parameters, or a rank by flexibility),
     and the squared errors [n] of held-out data, which are the same for every candidate. The best
     has the smallest mean of them; the smallest has the lowest size. what: name of the fit; unit: of
     the errors' root in that line, "%" of a share. negligible: a candidate whose rms is larger by at

@@ -43,8 +43,8 @@ class ScaleFit(NamedTuple):
     """A fitted factor on k, its relative uncertainty, and how well the readings agree with it.
 
     factor: multiplies the profile's k. u_rel: standard uncertainty of the new k, the meter's
-    calibration included. residual [n]: meter over corrected picture minus 1. far: labels of
-    outliers, which count less in the fit. line: a sentence with the held-out error.
+    calibration included. residual [n]: meter's value / corrected picture's value - 1. far: labels
+    of outliers, which count less in the fit. line: a sentence with the held-out error.
     """
 
     factor: float

@@ -49,9 +49,9 @@ class Samples(NamedTuple):
 class VignettingFit(NamedTuple):
     """A fitted vignetting curve: transmission relative to the axis, in powers of r of `Samples`.
 
-    u_rel: relative rms of held-out readings; residual_rel [n]: reading over fit minus 1, also for
-    omitted readings. coefficients: factors of the powers 0, 1, 2 ... of r; the first is 1. level:
-    the readings' value on the axis. choice: how the number of powers was chosen.
+    u_rel: relative rms of held-out readings; residual_rel [n]: reading / fit - 1, also for omitted
+    readings. coefficients: factors of the powers 0, 1, 2 ... of r; the first is 1. level: the
+    readings' value on the axis. choice: how the number of powers was chosen.
     """
 
     coefficients: tuple[float, ...]

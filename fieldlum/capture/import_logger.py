@@ -80,7 +80,7 @@ def _check_civil_time(path: Path, times: Sequence[datetime], zone: ZoneInfo) -> 
 
 
 def _read_as(path: Path, table: LoggerFileTable) -> LoggerFile:
-    """Return a logger's file, read with the clock and columns of `table`.
+    """Return the samples of a logger's file, read with the clock and columns that `table` states.
 
     Raises InputError for a file that cannot be read.
     """

@@ -295,7 +295,7 @@ def _write_own_camera(path: Path, start: str, photo: Path | None) -> None:
 
 
 def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
-    """Return an uncalibrated profile with the values of `profile`; start: name of the latter.
+    """Return an uncalibrated profile with the values of `profile`; start: name of that profile.
 
     It has no date of calibration. Its uncertainties of vignetting, colour and scale are at least
     those of a guess, because values of another camera are not measured.

@@ -44,7 +44,7 @@ def _open_session(text: str) -> Session:
     """Return the session in the folder that SESSION names."""
     from fieldlum.session import open_session
 
-    return open_session(PATH.convert(text, None, None))
+    return open_session(PATH.convert(text, None, None))  # no parameter, no context of click
 
 
 def _scheduler(text: str) -> Scheduler:

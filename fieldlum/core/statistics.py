@@ -100,8 +100,9 @@ def is_no_worse(errors: Floats, best_errors: Floats) -> bool:
     This is the one-standard-error rule (Breiman et al., Classification and Regression Trees, 1984)
     for paired errors. errors, best_errors [n]: held-out errors of the model and of the best model,
     for the same data in the same order; less is better. The standard error is that of the mean of
-    errors - best_errors: easy and difficult data are the same for both models, so that their spread
-    does not describe the difference. With one value the standard error counts as 0.
+    errors - best_errors: easy and difficult data are the same for both models, so that the spread
+    of one model's errors does not describe the difference. With one value the standard error counts
+    as 0.
     """
     difference = np.asarray(errors, float) - np.asarray(best_errors, float)
     return bool(difference.mean() <= np.nan_to_num(standard_error(difference)))

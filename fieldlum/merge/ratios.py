@@ -62,8 +62,9 @@ def pair_ratio(
     not positive. y_long, y_short: linear signals [n] of the same pixels in counts, with their
     variances [counts^2]; assumed_ratio: short over long exposure. short_variance must be the
     variance of the signal predicted from the long frame (y_long * assumed_ratio), not of the noisy
-    value; long_variance that of y_long. Huber weights at 2.5 sigma reduce the weight of motion and
-    hot pixels. frames: numbers of the long and of the short frame, only copied to the result.
+    value; long_variance that of y_long. Huber weights reduce the weight of motion and hot pixels:
+    those over 2.5 standard deviations from the mean ratio, as the pixels scatter. frames: numbers
+    of the long and of the short frame, only copied to the result.
     """
     if y_long.size < 50:
         return None

@@ -147,6 +147,7 @@ def _tracked(long: ReducedFrame, short: ReducedFrame) -> tuple[Floats, Floats]:
         return np.empty((0, 2)), np.empty((0, 2))
     window: dict[str, Any] = {"winSize": (_WINDOW_PX, _WINDOW_PX), "maxLevel": 2}
     track: Any = cv2.calcOpticalFlowPyrLK
+    # None: without a guess of where the points end
     end, is_tracked, _ = track(first, second, start, None, **window)
     back, is_back, _ = track(second, first, end, None, **window)
     apart_px = np.abs(back - start).max(axis=(1, 2))

@@ -342,6 +342,7 @@ def merging(session: Session, options: MergeOptions) -> Iterator[Callable[[str],
     invalid.
     """
     slots = [slot.id for slot in session.slots()]
+    # False: not merged again if already merged
     units = dict(zip(slots, _units(session, slots, options, False), strict=True))
     session.panoramas.mkdir(parents=True, exist_ok=True)
     pool = work.start_pool(1)

@@ -36,11 +36,11 @@ def irradiance_during(
 ) -> BracketIrradiance:
     """Return the mean irradiance and its steadiness during a bracket, from `opened` to `closed`.
 
-    If it has fewer than three rows, those within one row interval before and after it are included.
-    `why` is set if rows are over 15 minutes apart, if any time of the bracket is more than two row
-    intervals plus one second from a usable row, if diffuse is above global, or if global changed by
-    over 50 % (and over 10 W/m2), so that its frames saw different light; from 10 % on this is a
-    caution.
+    For a bracket with fewer than three rows, those within one row interval before and after the
+    bracket are included. `why` is set if rows are over 15 minutes apart, if any time of the bracket
+    is more than two row intervals plus one second from a usable row, if diffuse is above global, or
+    if global changed by over 50 % (and over 10 W/m2), so that its frames saw different light; from
+    10 % on this is a caution.
     """
     start_s, end_s = opened.timestamp(), closed.timestamp()
     every_s = max(log.every_s(start_s), 1.0)

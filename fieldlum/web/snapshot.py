@@ -472,7 +472,7 @@ class Snapshots:
         return self._plan[1]
 
     def _states(self, slots: list[Slot], journal: JournalFollower, now: datetime) -> dict[str, str]:
-        """Return the state of each slot by its id; for the words see `calendar`."""
+        """Return each slot's state by its id: done, missed, aborted, made up, running or to do."""
         grace = self._session.grace
         states: dict[str, str] = {}
         for slot in slots:
@@ -489,7 +489,7 @@ class Snapshots:
         return states
 
     def _slot_row(self, slot: Slot, present: _Present) -> JsonTable:
-        """Return the row of a slot, as `calendar` describes it."""
+        """Return a slot's row of `calendar`: its id, times, state, sun's altitude, and picture."""
         local = slot.t_utc.astimezone(self._zone)
         return {
             "slot": slot.id,

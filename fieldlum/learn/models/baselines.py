@@ -73,7 +73,7 @@ class MeanFitted:
 
     def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""
-        return state_of(self, False)
+        return state_of(self, False)  # without sun patches
 
 
 def fit_mean(data: Dataset, **_: object) -> MeanFitted:

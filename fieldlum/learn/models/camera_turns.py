@@ -381,7 +381,7 @@ def shown_place(
     azimuth of the panorama's centre column; angles_deg: the camera's turn in heading (clockwise
     positive), tilt (up) and roll (clockwise) [3].
     """
-    if not angles_deg.any():
+    if not angles_deg.any():  # exact without a turn
         return altitude_deg, azimuth_deg
     shown = turned_rays(direction(altitude_deg, azimuth_deg), heading_deg, angles_deg)
     altitude, azimuth = (float(angle) for angle in altitude_azimuth_deg(shown))

@@ -155,7 +155,7 @@ def sun_is_unmeasured(light: Light) -> Mask:
 def light_variance(data: Dataset) -> Array:
     """Return the relative variance of the irradiance of each hour, from its own readings, [n].
 
-    The range of the readings over the bracket (change or noise), over their mean
+    The range of the readings in the bracket (change or noise), divided by the mean
     (`Dataset.steadiness`), counts as the width of a rectangular distribution (JCGM 100:2008,
     4.3.7). The sun's normal irradiance is a difference of two horizontal readings divided by the
     sine of its altitude, and so are its errors. For a sun under 3 degrees the readings give no

@@ -51,13 +51,13 @@ class Dataset:
     disc at the lens, on a plane normal to the sun [n]; heading_deg: azimuth of the maps' centre
     column, clockwise from north; days: local dates without daylight saving time [n]; slots: UTC
     start times as ids, such as 20270320T153000Z [n]; setup: content of SITE.toml; seen: True for
-    pixels that the camera saw [H, W]; steadiness: range of the irradiance during the bracket over
-    its mean (0 if unknown) [n]; source: path or URL of the pairs; notes: sentences for the user;
-    counts: weight of each value in training [n, H, W], None if all are 1; scene: what was used of a
-    fitted scene, None without one; sky_view: where the camera sees the sky, None if it was not
-    estimated (`with_sky_view`); disc_deg: altitude and azimuth of the disc in the map [n, 2], NaN
-    or None where not measured; uncertain: True for hours whose irradiance `pair` marked [n], None
-    without any.
+    pixels that the camera saw [H, W]; steadiness: range of the irradiance during the bracket,
+    divided by the mean (0 if unknown) [n]; source: path or URL of the pairs; notes: sentences for
+    the user; counts: weight of each value in training [n, H, W], None if all are 1; scene: what was
+    used of a fitted scene, None without one; sky_view: where the camera sees the sky, None if it
+    was not estimated (`with_sky_view`); disc_deg: altitude and azimuth of the disc in the map
+    [n, 2], NaN or None where not measured; uncertain: True for hours whose irradiance `pair` marked
+    [n], None without any.
     """
 
     light: Light
@@ -204,7 +204,7 @@ def _check_irradiance(path: Path, rows: Sequence[PairRow], altitude_deg: Floats)
     """Raise InputError for irradiance that is impossible with a sun over `CLEAR_SUN_DEG`.
 
     Each row is compared with BSRN's limits and with `sun.too_weak`, and the median of the rows with
-    direct sun shows exchanged columns. altitude_deg: of the sun [n].
+    direct sun, if there are three or more, shows exchanged columns. altitude_deg: of the sun [n].
     """
     top = sun.extraterrestrial_wm2([row.t_utc for row in rows])
     dni, dhi = np.array([(row.dni_wm2, row.dhi_wm2) for row in rows]).T

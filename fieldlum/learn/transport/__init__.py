@@ -222,10 +222,11 @@ class MeanTransport:
     """The mean of the log maps of two models: of a fitted scene, and of the room as it was stated.
 
     Captures cannot always tell which is better under suns that they do not have. The squared error
-    of the mean is at most the mean of theirs, and less where their errors differ. stated: without a
-    room if the captures clearly contradict it; share: weight of the fitted model; agreement: mean
-    squared error of the mean on held-out hours, over that of two models whose errors are the same
-    everywhere; held_out_mse: log10 MSE of each capture, predicted from other days [n].
+    of the mean is at most the mean squared error of the two models, and less where the errors of
+    the two differ. stated: without a room if the captures clearly contradict it; share: weight of
+    the fitted model; agreement: mean squared error of the mean on held-out hours, over that of two
+    models whose errors are the same everywhere; held_out_mse: log10 MSE of each capture, predicted
+    from other days [n].
     """
 
     fitted: Transport
@@ -279,7 +280,7 @@ class MeanTransport:
 
     def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz (`state_of`)."""
-        return state_of(self, True)
+        return state_of(self, True)  # with sun patches
 
 
 def from_state(state: ModelState) -> Transport | MeanTransport:
@@ -647,10 +648,10 @@ class Uncertainty:
     def expected_mse(self, hours: Features, captured: Features, guess: Array) -> Array:
         """Return the log10 MSE to expect in m `hours`, [m]: `guess` [m], corrected by the tests.
 
-        The factor is the tests' errors over their guesses, each summed with more weight for tests
-        with a similar share of sun. captured: features of the n captures. If `careful`, the result
-        is at least the weighted mean error of the tests (geometric mean over held-out days and
-        seasons).
+        The factor is the errors of the tests divided by the guesses for the tests, each summed with
+        more weight for tests with a similar share of sun. captured: features of the n captures. If
+        `careful`, the result is at least the weighted mean error of the tests (geometric mean over
+        held-out days and seasons).
         """
         beam, n = captured.beam[self.tested], len(captured)
         # Hours with a tenth more or less sun are similar.

@@ -50,6 +50,7 @@ class StateColumns:
         """Return columns for all states with which hours of `light` are marked."""
         parts = sorted({part for text in light.states or () for part in parse_state(text)})
         lamps = tuple(part for part in parts if part.startswith(LAMP_WORD))
+        # False: no lamp that is always on
         return cls(False, lamps, tuple(part for part in parts if part not in lamps))
 
     def features(self, light: Light) -> Features:

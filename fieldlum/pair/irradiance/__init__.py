@@ -184,8 +184,8 @@ def _stuck(t_unix_s: Floats, ghi: Floats, altitude: Floats) -> Mask:
     """Return a mask [n] of daylight rows in a run of equal values that is over ten minutes long.
 
     The sun must have moved enough in the run to change the value by the log's smallest step: in
-    integers of W/m2, a clear noon is constant for up to half an hour. ghi [n] W/m2; altitude: of
-    the sun [n] deg.
+    integers of W/m2, a clear noon is constant for up to half an hour. All are False for fewer than
+    three rows. ghi [n] W/m2; altitude: of the sun [n] deg.
     """
     if len(ghi) < 3:
         return np.zeros(len(ghi), bool)

@@ -174,8 +174,8 @@ def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
         windows.append(rect)
         posts, rails, half_m = window_bars(window, opening, room.wall_thickness_m)
         depth = (middle - half_m, middle + half_m)
-        bars += [Bar(number, True, span, depth) for span in posts]
-        bars += [Bar(number, False, span, depth) for span in rails]
+        bars += [Bar(number, True, span, depth) for span in posts]  # upright
+        bars += [Bar(number, False, span, depth) for span in rails]  # level
     obstructions = [scene.boxes[k] for k in scene.of_kind("obstruction")]
     return Guess(
         size_m=(room.width_m, room.depth_m, room.height_m),

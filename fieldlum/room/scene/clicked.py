@@ -331,7 +331,7 @@ def _factors(xy: Floats, distances: Sequence[float]) -> tuple[float, float]:
 def _wall_of(xy: Floats, distances: Sequence[float]) -> str:
     """Return the wall that the camera sees in a direction [2], in room axes."""
     across_x, across_y = _factors(xy, distances)
-    if across_x < across_y:
+    if across_x < across_y:  # the wall across x is met first
         return "east" if xy[0] > 0 else "west"
     return "north" if xy[1] > 0 else "south"
 

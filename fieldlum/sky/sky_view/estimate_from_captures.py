@@ -684,10 +684,11 @@ _DARK = "dark"  # what a capture through a blind shows
 def _gain(view: SkyView, captured: Captured) -> float:
     """Return the factor by which captured discs correct the transmittance; 1 without such discs.
 
-    It is the mean of their ratio to the view's discs and of 1, weighted by both uncertainties. Low
-    suns count less, because their luminous efficacy is uncertain. Of two discs the larger counts,
-    of more the 60th percentile: an edge may hide a part. If one or two discs are far from the
-    view's, they show an edge between slats or leaves, not the pane, and do not count.
+    The factor is the mean of 1 and of the ratio of captured discs to the view's discs, weighted by
+    both uncertainties. Low suns count less, because their luminous efficacy is uncertain. Of two
+    discs the larger counts, of more the 60th percentile: an edge may hide a part. If one or two
+    discs are far from the view's, they show an edge between slats or leaves, not the pane, and do
+    not count.
     """
     disc = disc_of_hours(view, captured.light)
     is_clear = captured.disc_share > _SHUT

@@ -82,8 +82,8 @@ class PoseFit:
     """What measured sun discs determine: values [5] and covariance [5, 5] in the order of `NAMES`.
 
     heading_deg: correction to add to the stated heading, clockwise. tilt_deg: how far the view axis
-    points up; roll_deg: how far the picture's right-hand side is low. lens_scale: true over stated
-    angle from the lens's axis, minus 1. clock_min: recorded time less true time [min]. rms_deg:
+    points up; roll_deg: how far the picture's right-hand side is low. lens_scale: (true / stated
+    angle from the lens's axis) - 1. clock_min: recorded time less true time [min]. rms_deg:
     distance of measured from computed discs without gross errors. dropped: indices from 0 of the
     discs that are gross errors.
     """
@@ -114,8 +114,9 @@ def fit_pose(
 
     discs: by the stated heading, level and lens. axis_deg: the stated azimuth of the lens's axis,
     clockwise from north. prior_sd: standard uncertainties [5] before the fit, in the order of
-    `NAMES`; each prior's mean is 0. The sun's position is by NREL SPA. Discs with gross errors (5
-    sigma) are omitted, if at least four others remain. Raises NotEnoughDataError for fewer than
+    `NAMES`; each prior's mean is 0. The sun's position is by NREL SPA. Discs with gross errors are
+    omitted if at least four others remain: they are over 5 standard uncertainties from their place,
+    and over 5 times the median distance of all discs. Raises NotEnoughDataError for fewer than
     `minimum` discs.
     """
     from scipy.optimize import least_squares

@@ -33,9 +33,9 @@ class CameraPose:
     """The pose of a camera: corrections of the stated one, with their covariance.
 
     heading_deg, tilt_deg, roll_deg: angles of `projection.rotation`, 0 for the stated pose;
-    lens_scale: true over stated angle from the lens's axis, minus 1. covariance [4, 4]: of these
-    four in this order. axis_deg: stated azimuth of the lens's axis, clockwise from north. discs:
-    number of sun discs that determine it. notes: sentences for the user.
+    lens_scale: (true / stated angle from the lens's axis) - 1. covariance [4, 4]: of these four in
+    this order. axis_deg: stated azimuth of the lens's axis, clockwise from north. discs: number of
+    sun discs that determine it. notes: sentences for the user.
     """
 
     heading_deg: float = 0.0

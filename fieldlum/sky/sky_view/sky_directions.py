@@ -160,7 +160,8 @@ def sky_share(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floa
 def usable_log(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
     """Return ln of luminance, at least 0.01 cd/m2, [n, p]; NaN near a shining sun.
 
-    The arguments are those of `away_from_sun`.
+    luminance [n, p] cd/m2; light: outside at the n captures; rays: directions of the p pixels, x
+    east, y north, z up [p, 3]. Shining: over 1 000 lx of direct light.
     """
     return np.log(np.maximum(away_from_sun(luminance, light, rays), np.float32(0.01)))
 

@@ -151,7 +151,7 @@ class Metric(NamedTuple):
     in_year: bool = False
 
 
-METRICS: dict[str, Metric] = {
+METRICS: dict[str, Metric] = {  # True: also a column of hourly.csv
     "ev_lx": Metric(lambda view: view.ev_lx, True),
     "dgp": Metric(lambda view: dgp(view.ev_lx, view.contrast), True),
     "dgps": Metric(lambda view: dgps(view.ev_lx), True),
@@ -335,8 +335,8 @@ class ViewCoverage:
 def view_coverage(views: Views) -> ViewCoverage:
     """Return how much of each view direction the pixels with a weight in `views` cover.
 
-    The unseen part is the rest of the hemisphere in front. It can be one large glare source, with
-    the position index of its centre, or many: `unseen_sources` is the larger of both.
+    The unseen part is the rest of the hemisphere in front. The unseen part can be one large glare
+    source, with the position index of its centre, or many: `unseen_sources` is the larger of both.
     """
     # [5, d] sums: illuminance, solid angle, moments right and up, solid angle / position index^2
     seen = np.zeros_like(views.hemisphere)

@@ -81,6 +81,7 @@ def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> Js
     InputError for a map that is not twice as wide as high, or has seen pixels that are not finite.
     """
     require_panorama(panorama, "panorama")
+    # None: a panorama has no view of its own
     answer, _ = glare_answer(Picture(panorama, None), Path("panorama"), azimuths_deg)
     return answer | {"file": ""}
 

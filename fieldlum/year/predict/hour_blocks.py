@@ -403,11 +403,12 @@ def relative_uncertainty(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the relative standard uncertainties of the map's Ev, of Ev, and of the sources.
 
-    The map's Ev is Ev without sun and images of the sun; that of the sources is of their luminance
-    in the contrast of DGP. All are [k, d], of k hours in d directions, and NaN where the model does
-    not state its error. Errors of the pixels of one picture count as fully correlated, because a
-    model is often too bright or too dark on a complete wall. The sun's disc has 5 % (`U_DISC`).
-    views: weights of the pixels; figures: the result of `glare_directions` for the block.
+    The map's Ev is Ev without the sun and its images. The third uncertainty is of the luminance of
+    the glare sources in the contrast of DGP. All are [k, d], of k hours in d directions, and NaN
+    where the model does not state its error. Errors of the pixels of one picture count as fully
+    correlated, because a model is often too bright or too dark on a complete wall. The sun's disc
+    has 5 % (`U_DISC`). views: weights of the pixels; figures: the result of `glare_directions` for
+    the block.
     """
     predicted, maps = block.prediction, block.prediction.luminance_cdm2
     if predicted.log10_sd is None:

@@ -1,9 +1,10 @@
 """Predict melanopic EDI of a year from the colours of the captures.
 
 Sky, sun and lamps have their own colours. The ratio of melanopic to photopic light in a view
-direction is the sum of theirs times their shares in the illuminance, times a factor of the
-direction for the colours of glass and walls. The captures give the ratios and factors; the shares
-are those of a kernel fit to the captures' vertical illuminance, so that no map is predicted for it.
+direction is the sum, over sky, sun and lamps, of the ratio of each times its share in the
+illuminance, times a factor of the direction for the colours of glass and walls. The captures give
+the ratios and factors; the shares are those of a kernel fit to the captures' vertical illuminance,
+so that no map is predicted for it.
 """
 
 from __future__ import annotations
