@@ -60,7 +60,9 @@ def bracket(slot: Slot, clock_s: float) -> Group:
     start = slot.t_utc + timedelta(seconds=clock_s)
     times = (start + timedelta(seconds=2 * i) for i in range(len(slot.exposures)))
     frames = zip(slot.exposures, times, strict=True)
-    return tuple(CardFrame(Path(f"{slot.id}_{i}.dng"), e, t) for i, (e, t) in enumerate(frames))
+    return Group(
+        tuple(CardFrame(Path(f"{slot.id}_{i}.dng"), e, t) for i, (e, t) in enumerate(frames))
+    )
 
 
 @pytest.mark.slow
@@ -91,7 +93,7 @@ def test_a_clock_set_between_two_days_is_found(change: int, hours: int, missing:
 
 def _numbered(groups: list[Group]) -> list[tuple[int, Group]]:
     where = {slot.id: i for i, slot in enumerate(MONTH)}
-    return [(where[group[0].path.name[:16]], group) for group in groups]
+    return [(where[group.frames[0].path.name[:16]], group) for group in groups]
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from fieldlum.capture.bracket import frame_requests
 from fieldlum.capture.import_logger import add_samples, import_rows
 from fieldlum.capture.match_card import (
     CardFrame,
+    Group,
     Offset,
     find_offset,
     group_frames,
@@ -77,7 +78,7 @@ def test_any_camera_clock_is_found_from_a_whole_day(
     frames = card(PLAN, clock_s + drift, step=step)
     random.Random(seed).shuffle(frames)
     groups = group_frames(frames, LADDER)
-    assert [len(g) for g in groups] == [5] * 12
+    assert [len(g.frames) for g in groups] == [5] * 12
     offset = find_offset(groups, PLAN, (PDT_S, 0.0))
     assert offset is not None and offset.seconds == clock_s
     refined = refine_offset(groups, PLAN, offset)
@@ -117,7 +118,7 @@ def test_brackets_back_to_back_and_snapshots_are_told_apart() -> None:
     ]
     stray = frames_at(DAWN + timedelta(hours=20))
     groups = group_frames(twice + snapshot + stray, LADDER)
-    assert [len(g) for g in groups] == [5, 5, 1, 5]
+    assert [len(g.frames) for g in groups] == [5, 5, 1, 5]
     matches, unmatched = match_groups([(groups, Offset(0.0, "told"))], PLAN)
     assert [m.slot for m in matches] == PLAN[:1] and matches[0].group is groups[0]
     assert len(unmatched) == 3
@@ -131,7 +132,7 @@ def test_an_interrupted_bracket_does_not_swallow_the_next() -> None:
         + frames_at(DAWN + timedelta(hours=1), LADDER[2:])
         + card(PLAN[2:], 0.0)
     )
-    assert [len(g) for g in group_frames(frames, LADDER)] == [2, 3] + [5] * 10
+    assert [len(g.frames) for g in group_frames(frames, LADDER)] == [2, 3] + [5] * 10
 
 
 @pytest.mark.contract
@@ -140,11 +141,11 @@ def test_a_filter_and_turned_headings_repeat_exposures() -> None:
     setup = CameraSetup(headings=(0.0, 180.0))
     shot = tuple(Exposure(e.shutter_s, e.f_number) for e in (*plan, *plan))
     groups = group_frames(frames_at(DAWN, shot), plan, headings=2)
-    assert [len(g) for g in groups] == [12]
+    assert [len(g.frames) for g in groups] == [12]
     slot = Slot(DAWN, 10.0, 120.0, plan)
     planned = import_card.planned_frames(groups[0], slot, setup)
     assert planned == list(frame_requests(plan, setup))
-    again = (*groups[0], groups[0][-1])  # one too many
+    again = Group((*groups[0].frames, groups[0].frames[-1]))  # one too many
     assert import_card.planned_frames(again, slot, setup)[-2:] == [planned[-1]] * 2
 
 
@@ -152,7 +153,7 @@ def test_a_filter_and_turned_headings_repeat_exposures() -> None:
 def test_one_frame_is_not_two_exposures_with_and_without_a_filter() -> None:
     plan = [Slot(DAWN, 10.0, 120.0, (*LADDER, Exposure(1 / 125, 5.6, nd="nd3")))]
     for number, matched in ((1, 0), (2, 1)):
-        group = tuple(frames_at(DAWN, (LADDER[-1],) * number))
+        group = Group(tuple(frames_at(DAWN, (LADDER[-1],) * number)))
         assert planned_indices(group, plan[0].exposures) == [4, 5][:number]
         assert len(match_groups([([group], Offset(0.0, "stated"))], plan)[0]) == matched
 

@@ -319,7 +319,8 @@ def fit_boards(
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
     text = f"residual of the corners {rms:.2f} px rms, uncertainty of the centre {u_px:.2f} px"
     choice = replace(start.choice, rms=rms, line=f"{start.choice.line}; {text}")
-    return start._replace(lens=replace(_rounded(fitted), **_pose_of(lens)), choice=choice), targets
+    new = replace(_rounded(fitted), **_pose_of(lens))
+    return start._replace(lens=new, choice=choice), targets
 
 
 def _board_pose(level: Lens, corners: Array, points: Array) -> Array:

@@ -150,7 +150,8 @@ def spot_cdm2(
     if not len(values) or values.max() <= 0:
         remedy = "check the reading's azimuth (clockwise from north) and altitude (up)"
         raise InputError(file, f"the picture has no light {place}", "light", remedy)
-    return float(trim_mean(values, 0.1)), float(values.std() / values.mean() / np.sqrt(len(values)))
+    spread = float(values.std() / values.mean() / np.sqrt(len(values)))
+    return float(trim_mean(values, 0.1)), spread
 
 
 def fit(

@@ -381,8 +381,8 @@ def judge_pyranometer(
         low_wm2, (high_wm2,) = possible[name]
         if not low_wm2 <= value <= high_wm2:
             found = f"{name} {value:.0f} W/m2 with the sun at {altitude_deg[0]:.0f} deg"
-            limits = f"limits {low_wm2:g} to {high_wm2:.0f} W/m2"
-            yield fail(what, f"{found} is impossible ({limits}): check mounting, wiring and time")
+            bounds = f"limits {low_wm2:g} to {high_wm2:.0f} W/m2"
+            yield fail(what, f"{found} is impossible ({bounds}): check mounting, wiring and time")
     if status := sample.status or info.status:
         yield warn(what, f"the instrument reports a fault: {status}: see its manual")
     if info.gives == ("ghi",):

@@ -95,7 +95,7 @@ def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> 
     update_session(session, {"imported": {**imported, _utf8_text(folder): about}})
     return Report(
         brackets=len(new),
-        frames=sum(len(m.group) for m in new),
+        frames=sum(len(m.group.frames) for m in new),
         known=len(matches) - len(new),
         offsets=offsets,
         late_s=tuple(m.late_s for m in matches),
@@ -199,7 +199,7 @@ def _import_brackets(
 
 def _file_range(group: Group) -> str:
     """Return the path of a bracket's first frame and the name of its last, for messages."""
-    first, last = group[0].path, group[-1].path
+    first, last = group.frames[0].path, group.frames[-1].path
     return f"{first}" if first == last else f"{first} to {last.name}"
 
 
@@ -211,12 +211,12 @@ def _utf8_text(path: Path) -> str:
 def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, match: Match) -> None:
     """Copy the frames of one bracket and journal them like captured ones."""
     slot, folder = match.slot, session.capture_file(match.slot.id).parent
-    now, first = datetime.now(UTC), match.group[0]
+    now, first = datetime.now(UTC), match.group.frames[0]
     journal.append("imported", now, slot=slot.id, source=_utf8_text(first.path.parent))
     journal.append("started", now, slot=slot.id, attempt=1)
     frames: list[Frame] = []
     planned = planned_frames(match.group, slot, setup)
-    for index, (card, request) in enumerate(zip(match.group, planned, strict=True)):
+    for index, (card, request) in enumerate(zip(match.group.frames, planned, strict=True)):
         name = card.path.name
         # Two folders of a card can have files of one name.
         if any(frame.file.casefold() == name.casefold() for frame in frames):
@@ -256,7 +256,7 @@ def remove_misplaced(
     """
     cards: dict[str, list[tuple[Match, CardFrame]]] = {}
     for match in matches:
-        for card in match.group:
+        for card in match.group.frames:
             cards.setdefault(card.path.name, []).append((match, card))
     withdrawn: list[str] = []
     for slot, state in states.slots.items():

@@ -42,8 +42,16 @@ class CardFrame:
     serial: str = ""
 
 
-# The frames of one bracket on a camera's card, in order of time; at least one.
-Group = tuple[CardFrame, ...]
+@dataclass(frozen=True, slots=True)
+class Group:
+    """The frames of one bracket on a camera's card, in order of time; at least one."""
+
+    frames: tuple[CardFrame, ...]
+
+    @property
+    def t_camera(self) -> datetime:
+        """Start of the bracket, the `t_camera` of its first frame."""
+        return self.frames[0].t_camera
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +135,7 @@ def group_frames(
                 groups[-1].append(frame)
                 continue
         groups.append([frame])
-    return [tuple(group) for group in groups]
+    return [Group(tuple(group)) for group in groups]
 
 
 def split_at_gaps(groups: Sequence[Group], gap_s: float = 5 * 86400.0) -> list[list[Group]]:
@@ -136,7 +144,7 @@ def split_at_gaps(groups: Sequence[Group], gap_s: float = 5 * 86400.0) -> list[l
     groups: in order of time. By default, five days separate campaigns, between which the camera's
     clock may have been set.
     """
-    times_s = [group[0].t_camera.timestamp() for group in groups]
+    times_s = [group.t_camera.timestamp() for group in groups]
     starts = np.flatnonzero(np.diff(times_s, prepend=-np.inf) >= gap_s).tolist()
     return [list(groups[start:end]) for start, end in pairwise([*starts, len(groups)])]
 
@@ -148,7 +156,7 @@ def planned_indices(group: Group, planned: Sequence[Exposure]) -> list[int | Non
     and surplus frames get the last of them.
     """
     indices: list[int | None] = []
-    for frame in group:
+    for frame in group.frames:
         alike = [k for k, exposure in enumerate(planned) if same_exposure(exposure, frame.exposure)]
         unused = [k for k in alike if k not in indices]
         indices.append((unused or alike[-1:] or [None])[0])
@@ -161,7 +169,7 @@ def delays_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) ->
     groups: n brackets; slots: at least one; offset_s: the camera's clock minus UTC [s].
     """
     slots_s = np.array([slot.t_utc.timestamp() for slot in slots])
-    starts_s = np.array([group[0].t_camera.timestamp() for group in groups]) - offset_s
+    starts_s = np.array([group.t_camera.timestamp() for group in groups]) - offset_s
     return starts_s - slots_s[np.abs(starts_s[:, None] - slots_s[None, :]).argmin(axis=1)]
 
 
@@ -242,7 +250,7 @@ def match_groups(
     matches: dict[str, Match] = {}
     others: list[tuple[Group, str]] = []
     for group, offset in ((group, offset) for part, offset in clocks for group in part):
-        t_utc = true_time(group[0].t_camera, offset)
+        t_utc = true_time(group.t_camera, offset)
         when = f"({utc_text(t_utc)})"
         slot = min(slots, key=lambda s: abs((s.t_utc - t_utc).total_seconds()), default=None)
         if slot is None or abs((t_utc - slot.t_utc).total_seconds()) > MAX_DELAY_S:
@@ -301,7 +309,7 @@ def clock_offset(
         found = "several UTC offsets of the camera's clock fit the plan equally well"
         remedy = "state the camera's offset, for example --utc-offset -08:00"
         raise InputError("the card", found, "one offset that fits best", remedy)
-    first, last = groups[0][0].t_camera, groups[-1][0].t_camera
+    first, last = groups[0].t_camera, groups[-1].t_camera
     nearest = min((slot.t_utc for slot in slots), key=lambda t: abs(t - first), default=None)
     span = f"the brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M}"
     found = f"{span} by the camera's clock match no slot of the plan"
@@ -313,12 +321,12 @@ def clock_offset(
 
 def exif_states_offset(groups: Sequence[Group]) -> bool:
     """Return whether EXIF states the clock's offset from UTC for every frame."""
-    return all(frame.exif_offset_s is not None for group in groups for frame in group)
+    return all(frame.exif_offset_s is not None for group in groups for frame in group.frames)
 
 
 def _exif_offsets_s(groups: Sequence[Group]) -> tuple[float, ...]:
     """Return the different offsets from UTC [s] that EXIF states, smallest first."""
-    stated = {frame.exif_offset_s for group in groups for frame in group}
+    stated = {frame.exif_offset_s for group in groups for frame in group.frames}
     return tuple(sorted(offset_s for offset_s in stated if offset_s is not None))
 
 
@@ -359,7 +367,7 @@ def _expected_s(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile)
     the plan, then zero.
     """
     zone = ZoneInfo(setup.site.timezone)
-    days = {group[0].t_camera.date() for group in groups}
+    days = {group.t_camera.date() for group in groups}
     offsets = [(slot, slot.t_utc.astimezone(zone).utcoffset() or timedelta()) for slot in slots]
     on_days = Counter(offset for slot, offset in offsets if slot.t_utc.date() in days)
     in_plan = Counter(offset for _, offset in offsets)
@@ -394,7 +402,7 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot], zone: str) -> li
 
 def _civil_h(group: Group, zone: str, later: timedelta) -> int:
     """Return civil time minus UTC in `zone`, in full hours, a time `later` after a bracket."""
-    moment = (group[0].t_camera + later).astimezone(ZoneInfo(zone))
+    moment = (group.t_camera + later).astimezone(ZoneInfo(zone))
     return round((moment.utcoffset() or timedelta()) / timedelta(hours=1))
 
 
@@ -430,7 +438,7 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
     """
     return [
         f"the plan suggests that the camera's clock was changed by {step_s / 3600:+.3g} h before "
-        f"{after[0][0].path}, and each part was imported with its own offset; if brackets "
+        f"{after[0].frames[0].path}, and each part was imported with its own offset; if brackets "
         "were taken at other hours than planned, state --utc-offset"
         for (_, old), (after, new) in pairwise(clocks)
         if abs(step_s := new.seconds - old.seconds) > 1800.0  # less is drift
@@ -458,6 +466,6 @@ def offset_contradiction(
         return ""
     return (
         f"one clock offset ({offset.how}) was used for all brackets, but the plan suggests that "
-        f"the camera's clock was changed before {parts[1][0][0].path}: import the two parts "
+        f"the camera's clock was changed before {parts[1][0].frames[0].path}: import the two parts "
         "from separate folders, each with its own --utc-offset"
     )

@@ -65,8 +65,9 @@ def command(
         files, profile = frame_files(source, *more), load_camera_profile(camera)
         notes(filter(None, [uncalibrated_text(profile)]))
         with progress("Merge"):
-            merged = merge.files_to_picture(files, profile, out, options, heading_deg=heading)
-        result, facts = merged
+            result, facts = merge.files_to_picture(
+                files, profile, out, options, heading_deg=heading
+            )
         answer = {"out": str(out), "verdict": result.verdict, **facts, "quality": result.quality}
         print_answer(as_json, answer, _lines(out, result, facts))
         return

@@ -229,9 +229,8 @@ def _camera(dialogue: Dialogue) -> CameraSetup:
         chosen = similar[0] if len(similar) == 1 and text not in names else text
         if not Path(chosen).is_file() and chosen not in names:
             which = f"; is it {' or '.join(similar)}?" if similar else ""
-            raise ValueError(
-                f"'{text}' is no number, name or path of a profile{which}; without one answer none"
-            )
+            known = f"number, name or path of a profile{which}"
+            raise ValueError(f"'{text}' is no {known}; without one answer none")
         load_camera_profile(chosen)
         return chosen
 

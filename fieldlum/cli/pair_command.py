@@ -28,10 +28,8 @@ def command(session: OpenSession, scheduler: Any = "local", force: bool = False)
     with terminal.progress("pair"):
         pairs = pair.run(session, force=force, scheduler=scheduler)
     usable = sum(row.ok for row in pairs)
-    click.echo(
-        f"{session.pairs}: {usable} of {counted(len(pairs), 'panorama')} paired, "
-        f"{counted(health.rows, 'row')} of irradiance"
-    )
+    paired = f"{usable} of {counted(len(pairs), 'panorama')} paired"
+    click.echo(f"{session.pairs}: {paired}, {counted(health.rows, 'row')} of irradiance")
     if (view := SkyView.find(session.sky_view)) is not None:
         seen = f"sky view of {counted(view.captures, 'capture')}, which decides when the sun's disc"
         terminal.say(f"{seen} is seen: look at {session.sky_view.with_suffix('.png')}")

@@ -46,7 +46,9 @@ def png_of(rgb: UInts8) -> bytes:
     """
     import cv2
 
-    _, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))  # OpenCV has BGR
+    succeeded, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))  # OpenCV has BGR
+    if not succeeded:
+        raise ValueError("the picture could not be encoded")
     return data.tobytes()
 
 

@@ -110,7 +110,10 @@ class Camera(Device, ABC):
         """
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError, with the reason, for an exposure that the camera cannot take."""
+        """Raise DeviceError, with the reason, for an exposure that the camera cannot take.
+
+        A camera that does not override this method takes any exposure.
+        """
 
     def exposure_taken(self, written: Path) -> Exposure | None:
         """Return the exposure of the newest frame, the file `written`; None if not reported."""

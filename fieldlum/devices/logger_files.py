@@ -172,7 +172,10 @@ def _check_readable(path: Path, logger_file: LoggerFile) -> None:
 
 
 def text_table(path: Path, text: str) -> _Table:
-    """Return the text of a TOA5 or csv file as a table; path: for errors."""
+    """Return the text of a TOA5 or csv file as a table; path: for errors.
+
+    Raises InputError for an incomplete header, an empty file, or names that cannot be split.
+    """
     return _toa5(path, text) if text.startswith(('"TOA5",', "TOA5,")) else _csv(path, text)
 
 

@@ -78,6 +78,7 @@ def report_of(
     pairs = [n for part in parts for n in part.exposures.neighbours]
     turns = [turn for part in parts for turn in part.turns]
     surest = max(turns, key=lambda turn: turn.sure_px, default=None)
+    variance_factor = max(factor for part in parts for factor in part.noise)
     return MergeReport(
         frames=tuple(frame for part in parts for frame in _frames(part)),
         neighbours=tuple(pairs),
@@ -88,7 +89,7 @@ def report_of(
         **_shares_percent(flags, target),
         exposure_span_percent=float(100 * max(np.ptp(p.exposures.log_deviation) for p in parts)),
         deviations=tuple(filter(None, (_deviation_text(part.exposures) for part in parts))),
-        noise_over_profile=float(np.sqrt(max(factor for part in parts for factor in part.noise))),
+        noise_over_profile=float(np.sqrt(variance_factor)),
         plateau_dn={f"{iso:g}": dn for iso, dn in parts[0].saturation.plateau_dn.items()},
         black_off_dn=max((p.saturation.black_off_dn for p in parts), key=abs),
         shutter_law=parts[0].exposures.law,
@@ -164,24 +165,21 @@ def _exposure_notes(report: MergeReport) -> Iterator[str]:
     elif report.residual_percent is None:
         yield "no two frames have common well-exposed pixels: plan smaller steps of exposure"
     elif report.residual_percent > 3.0:
-        yield (
-            f"neighbouring frames disagree by {report.residual_percent:.1f} %: the light changed "
-            "or something moved during the bracket, or the response needs calibration"
-        )
+        found = f"neighbouring frames disagree by {report.residual_percent:.1f} %"
+        cause = "the light changed or something moved during the bracket"
+        yield f"{found}: {cause}, or the response needs calibration"
     for text in report.deviations:
-        yield (
-            f"fitted exposures differ from the profile by {text} %: the light changed during the "
-            "bracket, or shutter times need calibration (fieldlum calibrate shutter)"
-        )
+        cause = "the light changed during the bracket, or shutter times need calibration"
+        remedy = "fieldlum calibrate shutter"
+        yield f"fitted exposures differ from the profile by {text} %: {cause} ({remedy})"
 
 
 def _camera_notes(report: MergeReport) -> Iterator[str]:
     """Yield cautions about filters, orientation, black level, noise and turns of the camera."""
     if report.filter_absent:
-        yield (
-            f"{', '.join(report.filter_absent)}: as bright as without the filter of its label, and "
-            "used so: put the filter on for these frames, or plan without it"
-        )
+        found = "as bright as without the filter of its label, and used so"
+        remedy = "put the filter on for these frames, or plan without it"
+        yield f"{', '.join(report.filter_absent)}: {found}: {remedy}"
     if report.orientation_conflict:
         yield report.orientation_conflict
     if abs(off_dn := report.black_off_dn) > 1.0:
@@ -292,10 +290,8 @@ def merge_shots(
     view = "" if isinstance(target, Equirect) else target.view(heading_deg)
     text = verdict(report)
     if floating:
-        text += (
-            f"; no melanopic colour, because EXIF of {floating} states no fixed white balance: "
-            "set that of the calibration"
-        )
+        cause = f"EXIF of {floating} states no fixed white balance"
+        text += f"; no melanopic colour, because {cause}: set that of the calibration"
     return MergeResult(panorama, report, text, view, sun, sky)
 
 

@@ -103,7 +103,8 @@ def merge_pixels(frames: Sequence[FramePixels], u_ratio: float) -> Merged:
         _flag_motion(frames, weights, merged, u_ratio)
     if any(frame.signal.through_nd for frame in frames):
         bare = [0.0 if frame.signal.through_nd else frame.signal.per_cdm2 for frame in frames]
-        merged.flags[informed & (_sum(weights, bare) < 0.5 * information)] |= np.uint8(Flag.ND)
+        mostly_filtered = _sum(weights, bare) < 0.5 * information
+        merged.flags[informed & mostly_filtered] |= np.uint8(Flag.ND)
     _fill_lost(frames, merged)
     return merged
 

@@ -94,7 +94,8 @@ def _samples(
     if isinstance(target, Equirect):
         # zenith angles of these rows' upper and lower edge; a pixel is widest at the horizon
         top, bottom = (np.array(rows, float) + target.corner[0]) / target.height * np.pi
-        across = max(3, int(np.ceil(sub * np.sin(np.clip(np.pi / 2.0, top, bottom)))))
+        widest = np.sin(np.clip(np.pi / 2.0, top, bottom))
+        across = max(3, int(np.ceil(sub * widest)))
     sub, across = (-(-count // cells) * cells for count in (sub, across))  # rounded up
     down = first + (np.arange((last - first) * sub) + 0.5) / sub  # places in rows of the target
     along = (np.arange(width * across) + 0.5) / across  # places in columns
@@ -156,7 +157,8 @@ def _samples_per_pixel(target: Target, lens: LensGeometry, spacing_px: float) ->
     """
     half = lens.half_angle_rad
     most_px_per_rad = lens.radius_px * max(1.0 / np.sin(min(half, np.pi / 2)), 1.0 / half)
-    return int(np.clip(np.ceil(most_px_per_rad * target.pixel_rad / (1.1 * spacing_px)), 3, 24))
+    needed = np.ceil(most_px_per_rad * target.pixel_rad / (1.1 * spacing_px))
+    return int(np.clip(needed, 3, 24))
 
 
 # A raw camera needs 1 MB for each block of 36 square degrees of its sky cut. Chosen for 200 blocks.

@@ -301,8 +301,9 @@ def _views(lines: Sequence[str]) -> tuple[str, ...]:
 
 def _heading(line: str, path: Path) -> float:
     """Return the heading [deg] in the line by which fieldlum marks a panorama."""
+    words = line.removeprefix(PANORAMA_LINE).split()
     with suppress(ValueError, IndexError):
-        if np.isfinite(heading := float(line.removeprefix(PANORAMA_LINE).split()[0])):
+        if np.isfinite(heading := float(words[0])):
             return heading
     expected = f"{PANORAMA_LINE} and a number"
     raise InputError(path, repr(line)[:80], expected, "correct the header line")

@@ -257,7 +257,8 @@ def write_sheets(
     first page. Raises InputError if session.toml has no complete table [plan], for a damaged
     plan.csv, and for an impossible room.
     """
-    page = html(session.slots(), session.site_file(), _planned_cost(session)[:2], weather, notes)
+    cost = _planned_cost(session)[:2]
+    page = html(session.slots(), session.site_file(), cost, weather, notes)
     return write_file(session.root / "plan.html", page)
 
 

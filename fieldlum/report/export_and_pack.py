@@ -105,7 +105,8 @@ def _sky(session: Session, out: Path) -> list[Path]:
     # pixels from the middle, 1 at the horizon
     y, x = 2.0 * np.array(np.broadcast_arrays(*picture_centres(_FISHEYE_PX, _FISHEYE_PX)))
     radius = np.hypot(x, y)
-    share = view.beam_shares(direction(90.0 * (1.0 - radius), np.degrees(np.arctan2(-x, y))))[0]
+    rays = direction(90.0 * (1.0 - radius), np.degrees(np.arctan2(-x, y)))
+    share = view.beam_shares(rays)[0]
     grey = np.where(np.isnan(share), 128.0, 255.0 * share) * (radius <= 1.0)
     write_file(picture, png_of(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)))
     return [table, picture]

@@ -198,7 +198,8 @@ def _wrong_column(
             expected = "overcast hours with less direct than diffuse irradiance"
             return f"{found} in {100 * below:.1f} %", expected, cause
     tested = up & (ghi_wm2 > 50.0)
-    off = float(np.median(np.abs(1.0 - total[tested] / ghi_wm2[tested]))) if tested.any() else 0.0
+    error = np.abs(1.0 - total[tested] / ghi_wm2[tested])
+    off = float(np.median(error)) if tested.any() else 0.0
     if off > MAX_CLOSURE_ERROR:
         found = f"GHI differs from DHI + DNI sin(altitude) by {100 * off:.0f} % (median)"
         cause = "a column has another component, or direct on a horizontal plane"

@@ -550,7 +550,8 @@ class Snapshots:
             if rows and rows[-1]["text"] == text:
                 rows[-1]["times"] += 1
             elif text:
-                at = f"{parse_utc(event['t_utc']).astimezone(self._zone):%a %d %b %H:%M}"
+                local = parse_utc(event["t_utc"]).astimezone(self._zone)
+                at = f"{local:%a %d %b %H:%M}"
                 rows.append({"level": level, "text": text, "local": at, "times": 1})
         return rows[:25]  # about a screen
 

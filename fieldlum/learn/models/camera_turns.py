@@ -93,7 +93,8 @@ def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[fl
     heading = np.radians(heading_deg)
     right = (np.cos(heading), -np.sin(heading), 0.0)
     forward = (np.sin(heading), np.cos(heading), 0.0)
-    vector = -np.radians(angles_deg) @ np.array(((0.0, 0.0, -1.0), right, forward))
+    axes = np.array(((0.0, 0.0, -1.0), right, forward))
+    vector = -np.radians(angles_deg) @ axes
     return rays @ Rotation.from_rotvec(vector).as_matrix().T
 
 
@@ -403,10 +404,9 @@ def turn_notes(turns: CameraTurns, days: Dates) -> list[str]:
         text = f"the camera was turned, relative to most captures, in {_captures(rows, days)} by "
         notes.append(f"{text}{', '.join(parts)} degrees; the pictures were turned back in memory")
     if not turns.aligned.all():
-        notes.append(
-            f"WARNING: not used: {_captures(~turns.aligned, days)} that cannot be aligned with the "
-            "others: the camera was turned too far or moved; put them into a separate session"
-        )
+        unused = f"{_captures(~turns.aligned, days)} that cannot be aligned with the others"
+        cause = "the camera was turned too far or moved"
+        notes.append(f"WARNING: not used: {unused}: {cause}; put them into a separate session")
     return notes
 
 

@@ -374,7 +374,7 @@ def flat_pixels(towards: Floats, shape: tuple[int, ...], heading_deg: float) -> 
     azimuth of its centre column, clockwise from north.
     """
     row, column = equirect_pixel(*altitude_azimuth_deg(towards), shape[0], shape[1], heading_deg)
-    return np.ravel_multi_index((row.astype(int), column.astype(int)), shape, ("clip", "wrap"))
+    return np.ravel_multi_index((row.astype(int), column.astype(int)), shape, mode=("clip", "wrap"))
 
 
 # ----------------------------------------------------------------------------------------------

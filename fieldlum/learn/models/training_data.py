@@ -472,8 +472,9 @@ def read_pictures(
     first = read_panorama(pictures[0])
     shape, heading = first.luminance_cdm2.shape, _heading_deg(first, pictures[0], setup)
     size_and_heading = (shape, heading)  # of all pictures
+    with_patch = _with_patches(path, rows)
     maps = np.empty((len(rows), *shape), np.float32)
-    patches = np.empty_like(maps) if _with_patches(path, rows) else None
+    patches = np.empty_like(maps) if with_patch else None
     disc_lx, clipped_count = np.zeros(len(rows)), 0
     masks, counts = np.empty(maps.shape, bool), np.empty(maps.shape, np.float16)
     for k, row in enumerate(rows):

@@ -50,10 +50,8 @@ def day_folds(data: Dataset) -> list[Mask]:
     The Elements of Statistical Learning, 7.10. Raises NotEnoughDataError for under two hours.
     """
     if len(data) < 2:
-        raise NotEnoughDataError(
-            f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
-            "and to test; capture more hours"
-        )
+        found = f"{counted(len(data), 'usable hour')}; at least 2 are needed to train and to test"
+        raise NotEnoughDataError(f"{data.source}: {found}; capture more hours")
     days = len(np.unique(data.days))
     groups, count = (data.days, days) if days > 1 else (np.arange(len(data)), len(data))
     return list(held_out_masks(groups, min(count, 5)))
@@ -455,10 +453,8 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
     choices = [choose([own.scores.errors, t.scores.errors]) for t in others]
     better = [t.name for t, c in zip(others, choices, strict=True) if c.best == 1 and c.by]
     if better:
-        notes.append(
-            f"WARNING: {model} is clearly worse than {' and '.join(better)} on held-out days: do "
-            "not use it before the cause is found"
-        )
+        found = f"{model} is clearly worse than {' and '.join(better)} on held-out days"
+        notes.append(f"WARNING: {found}: do not use it before the cause is found")
     return notes
 
 

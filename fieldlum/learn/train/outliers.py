@@ -395,7 +395,8 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
     if not full.all():
         subject = f"{(~full).sum()} of {len(data)} captures"
         warnings.append(_contradiction(data, rows[~full], factor[~full], subject))
-    data = data.take(np.setdiff1d(np.arange(len(data)), np.union1d(changes.lamp, rows)))
+    changed = np.union1d(changes.lamp, rows)
+    data = data.take(np.setdiff1d(np.arange(len(data)), changed))
     return data, [*warnings, *step_warnings(data)]
 
 

@@ -314,7 +314,8 @@ def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterato
     corner_m = room.wall_thickness_m
     first, last = (-corner_m, room.width_m + corner_m) if axis == 1 else (0.0, room.depth_m)
     n0, n1 = sorted(_faces_m(room, wall))
-    for u0, u1 in pairwise(sorted({first, last, *(u for o in holes for u in o.u_m)})):
+    edges = sorted({first, last, *(u for o in holes for u in o.u_m)})
+    for u0, u1 in pairwise(edges):
         cut = sorted(o.z_m for o in holes if o.u_m[0] <= u0 and u1 <= o.u_m[1])
         levels = [0.0, *(z for hole in cut for z in hole), room.height_m]
         for z0, z1 in zip(levels[::2], levels[1::2], strict=True):

@@ -420,7 +420,8 @@ def _covered(stack: _Stack, pose: CameraPose) -> Mask:
     season, covered = _season(stack.light), np.zeros(len(stack.light), bool)
     for shade in (_SHADED, _HALF_SHADED):
         dark = dark_shares(stack.luminance_cdm2[:, ::step], stack.light, rays, shade)
-        covered |= dark > np.array([np.median(dark[season == k]) for k in season]) + _COVERED_SHARE
+        usual = np.array([np.median(dark[season == k]) for k in season])
+        covered |= dark > usual + _COVERED_SHARE
         if covered.sum() < 3:
             break
     return covered
@@ -800,7 +801,8 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
     wide = np.intersect1d(large, labels[inner])
     if len(wide):
         narrow = np.isin(labels, np.setdiff1d(large, wide))
-        level[narrow] = np.maximum(level.flat[_nearest(np.isin(labels, wide))], through)[narrow]
+        like_wide = level.flat[_nearest(np.isin(labels, wide))]
+        level[narrow] = np.maximum(like_wide, through)[narrow]
     of_large = np.isin(labels, large)
     nearest = _nearest(of_large)
     distance_px = np.hypot(*(np.unravel_index(nearest, sky.shape) - np.indices(sky.shape)))

@@ -304,7 +304,8 @@ def _fine_edges(maps: Floats32, openness: Floats32, undecided: Mask, factor: int
         fine[edge] = np.where(open_share >= minimum, _enlarged(pane, factor), 0.0)[edge]
     # Slats of a lens's pixel look like a blurred edge, and a bar in a pixel between open ones can
     # be anywhere in it: the pixel's own bounds hold too.
-    doubted = _enlarged((mixed & between(shown >= _OPEN_PIXEL)) | undecided | is_sharp, factor)
+    bars = mixed & between(shown >= _OPEN_PIXEL)
+    doubted = _enlarged(bars | undecided | is_sharp, factor)
     out[1] = np.where(doubted, np.minimum(out[1], own[1]), out[1])  # low
     out[2] = np.where(doubted, np.maximum(out[2], own[2]), out[2])  # high
     return np.where(np.isnan(own), own, out)

@@ -193,7 +193,8 @@ def glare_directions(
     sun = np.zeros((len(maps), 3)) if sun_direction is None else sun_direction
     disc = np.zeros((len(maps), 1)) if disc_lx is None else np.asarray(disc_lx, float)[..., None]
     sun_ev, sun_sums = _sums_of_suns(sun, disc, views, background)
-    view = ViewSums(map_ev + sun_ev, source_ev + sun_ev, background, *(source_sums + sun_sums))
+    sums = source_sums + sun_sums  # [3, n, d]
+    view = ViewSums(map_ev + sun_ev, source_ev + sun_ev, background, *sums)
     parts = {"contrast": view.contrast, "sun_contrast": sun_sums[0], "sun_ev_lx": sun_ev}
     return parts | {name: metric.formula(view) for name, metric in METRICS.items()}
 
