@@ -22,7 +22,7 @@ from make_case import write_case
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Mask
-from fieldlum.learn.models.training_data import Dataset, load_pairs
+from fieldlum.learn.models.training_data import Dataset, load_pairs, with_sky_view
 from fieldlum.learn.transport import MeanTransport, fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit import evidence
@@ -67,11 +67,11 @@ def judge(case: Path, draws: list[float]) -> None:
     seen = drawn(data)
     bare = [replace(d, patch_cdm2=None, seen=seen) for d in (data, test)]
     better = min(scored(*bare)[0], scored(*map(with_patches, bare))[0])
-    first = None
+    sky, first = with_sky_view(data), None
     for draw in draws:
         evidence.DRAW = draw
         begin = time.process_time()
-        scene = fit_scene(data, room)
+        scene = fit_scene(sky, room)
         cpu = time.process_time() - begin
         captures = with_scene(data, scene)
         assert captures.patch_cdm2 is not None

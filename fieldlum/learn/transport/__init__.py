@@ -232,7 +232,6 @@ class MeanTransport:
     fitted: Transport
     stated: Transport
     share: float
-    agreement: float
     held_out_mse: Array
     name: str = field(default="transport", init=False)
 
@@ -252,15 +251,20 @@ class MeanTransport:
         fitted = self.fitted.predict(light, patch_cdm2)
         stated = self.stated.predict(light, self._stated_patches(light))
         share, other = self.share, 1.0 - self.share  # weights of the two models
-        # Root mean squared error of log10 L if both models erred alike.
+        mean = fitted.luminance_cdm2**share * stated.luminance_cdm2**other  # geometric
+        gap = np.subtract(
+            *(np.log10(np.maximum(p.luminance_cdm2, MIN_CDM2)) for p in (fitted, stated))
+        )
+        # root mean squared error and standard deviation of log10 L if both models erred alike
         rms = share * np.sqrt(fitted.expected_mse) + other * np.sqrt(stated.expected_mse)
         assert fitted.log10_sd is not None and stated.log10_sd is not None
-        sd = np.sqrt(self.agreement) * (share * fitted.log10_sd + other * stated.log10_sd)
-        mean = fitted.luminance_cdm2**share * stated.luminance_cdm2**other  # geometric
+        sd = share * fitted.log10_sd + other * stated.log10_sd
+        weights = equirect_solid_angles(*gap.shape[1:])[self.fitted.seen]
+        spread = np.average(gap[:, self.fitted.seen] ** 2, axis=1, weights=weights)
         return Prediction(
             luminance_cdm2=mean.astype(np.float32),
-            log10_sd=sd.astype(np.float32),
-            expected_mse=self.agreement * rms**2,
+            log10_sd=np.sqrt(sd**2 + gap**2 / 2.0).astype(np.float32),
+            expected_mse=(rms**2 + spread) / 2.0,
             trusted=fitted.trusted,
         )
 
@@ -381,9 +385,7 @@ def _mean_model(
     best = float((stated_errors * gap).sum() / max((gap**2).sum(), 1e-9))
     share = float(np.clip(best, 0.0, MAX_SHARE))
     mixed = share * errors + (1.0 - share) * stated_errors
-    rms = share * np.sqrt((errors**2).mean()) + (1.0 - share) * np.sqrt((stated_errors**2).mean())
-    agreement = float((mixed**2).mean() / max(rms**2, 1e-9))
-    return MeanTransport(fitted, stated, share, agreement, (mixed[:count] ** 2).mean(axis=1))
+    return MeanTransport(fitted, stated, share, (mixed[:count] ** 2).mean(axis=1))
 
 
 class _Candidates(NamedTuple):

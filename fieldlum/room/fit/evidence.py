@@ -16,6 +16,7 @@ from fieldlum.core.records import Room
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.room.fit.guess import Guess, guess_of
 from fieldlum.room.fit.renderer import FLOOR, OUTSIDE, SHELL, Surfaces, surfaces, unit_patches
+from fieldlum.room.fit.skyline import Skyline, skyline_of
 from fieldlum.room.fit.sunny_hours import (
     MIN_SUNNY_HOURS,
     SUNSHINE_WM2,
@@ -64,7 +65,7 @@ class SceneEvidence:
     each ray, the index in `pixels` of its pixel; days [n]: local dates; clock [41, n, 2]: altitude
     and azimuth (clockwise from north) of the sun, deg, if the stated time were -20, -19 ... 20 min
     after the true time; rows [n]: indices of the hours in the captures; pixels [m]: flat indices in
-    the panorama; spread: angle between neighbouring rays [rad].
+    the panorama; spread: angle between neighbouring rays [rad]; skyline: what the sky view shows.
     """
 
     log_seen: Floats
@@ -78,6 +79,7 @@ class SceneEvidence:
     pixels: Indices
     sub: int
     spread: float
+    skyline: Skyline
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -245,6 +247,7 @@ def scene_evidence(
         pixels=chosen,
         sub=sub,
         spread=np.pi / data.shape[0] / sub,
+        skyline=skyline_of(data.sky_view, guess),
     )
     return evidence.relit(data, np.zeros_like(evidence.below))
 

@@ -6,7 +6,7 @@ if its gain exceeds its standard error over the hours.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 
@@ -15,18 +15,16 @@ from fieldlum.room.fit.guess import Bar, Guess, WindowRect, is_outside, solid_of
 from fieldlum.room.fit.parameters import Parameter, bar_parameters, solid_parameters
 from fieldlum.room.scene.box_room import WALLS, Span
 
-# Facades: a farther and higher one gives nearly the same shade, so that a factor of two in distance
-# is fine enough; the angle of elevation decides which suns it hides. Its thickness hardly changes
-# the shade; it reaches beyond every sun that enters. Canopies: gap above the window, depth,
+# Buildings, seen from the middle of a window: distance, and elevation of their tops straight out;
+# bearings of their ends from the window's normal, of which the outermost hide every sun that
+# enters. A farther and higher one gives nearly the same shade, so that a factor of two in distance
+# is fine enough. Their thickness hardly changes the shade. Canopies: gap above the window, depth,
 # thickness, overhang to either side. Screens (blinds, lintels): share of the window's height. No
 # patch shows their albedo. All chosen, not measured.
-FACADE_DISTANCES_M = (2.0, 5.0, 12.0, 30.0)
-FACADE_ELEVATIONS_DEG = (6.0, 10.0, 14.0, 18.0, 24.0, 30.0, 40.0)
-FACADE_THICKNESS_M, REACH_M = 2.0, 40.0
-# Buildings of 20 degrees width, seen from the middle of a window: bearings from its normal,
-# elevations of their tops, extent outwards. Chosen.
-BUILDING_BEARINGS_DEG, BUILDING_HALF_WIDTH_DEG = range(-60, 61, 12), 10.0
-BUILDING_ELEVATIONS_DEG, BUILDING_M = (10.0, 18.0, 30.0), (20.0, 28.0)
+BUILDING_DISTANCES_M = (2.0, 5.0, 12.0, 30.0)
+BUILDING_ELEVATIONS_DEG = (6.0, 10.0, 15.0, 22.0, 35.0)
+BUILDING_BEARINGS_DEG = (-80.0, -45.0, -20.0, 0.0, 20.0, 45.0, 80.0)
+BUILDING_THICKNESS_M = 2.0
 CANOPY_GAPS_M, CANOPY_DEPTHS_M = (0.05, 0.3), (0.4, 0.8, 1.3, 2.0)
 CANOPY_THICKNESS_M, CANOPY_OVERHANG_M = 0.1, 1.5
 SCREEN_SHARES = (0.25, 0.5, 0.75)
@@ -88,20 +86,16 @@ def _place(guess: Guess) -> Floats:
 
 
 def _shades(guess: Guess) -> Iterator[Guess]:
-    """Yield guesses with a facade, building, screen or canopy at one of the windows."""
+    """Yield guesses with a building, screen or canopy at one of the windows."""
     for rect in guess.windows:
         middle_u, middle_z = (float(np.mean(span)) for span in (rect.u_m, rect.z_m))
-        low, high = middle_u - REACH_M, middle_u + REACH_M
-        sides = ((low, high), (low, middle_u), (middle_u, high))  # facades: wide, left or right
-        for out, elevation, along in product(FACADE_DISTANCES_M, FACADE_ELEVATIONS_DEG, sides):
+        ends = np.tan(np.radians(BUILDING_BEARINGS_DEG)).tolist()
+        distances = product(BUILDING_DISTANCES_M, BUILDING_ELEVATIONS_DEG)
+        for (out, elevation), (left, right) in product(distances, combinations(ends, 2)):
+            along = (middle_u + out * left, middle_u + out * right)
             top = middle_z + out * float(np.tan(np.radians(elevation)))
-            yield with_box_outside(guess, rect, along, (out, out + FACADE_THICKNESS_M), (0.0, top))
-        for bearing, elevation in product(BUILDING_BEARINGS_DEG, BUILDING_ELEVATIONS_DEG):
-            ends = np.array([bearing - BUILDING_HALF_WIDTH_DEG, bearing + BUILDING_HALF_WIDTH_DEG])
-            left, right = (middle_u + BUILDING_M[0] * np.tan(np.radians(ends))).tolist()
-            away = BUILDING_M[0] / float(np.cos(np.radians(bearing)))
-            top = middle_z + away * float(np.tan(np.radians(elevation)))
-            yield with_box_outside(guess, rect, (left, right), BUILDING_M, (0.0, top))
+            away = (out, out + BUILDING_THICKNESS_M)
+            yield with_box_outside(guess, rect, along, away, (0.0, top))
         along = (rect.u_m[0] - CANOPY_OVERHANG_M, rect.u_m[1] + CANOPY_OVERHANG_M)
         in_wall = (0.3 * guess.thickness_m, 0.7 * guess.thickness_m)
         for share in SCREEN_SHARES:

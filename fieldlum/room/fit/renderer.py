@@ -81,9 +81,6 @@ def unit_patches(
     pixel; tone: a factor of each ray, such as albedo [r].
     """
     total = np.zeros((len(suns_room), len(pixel) // sub**2))
-    weight = tone / float(sub**2)
-    low = np.array([solid.low_m for solid in guess.solids]).reshape(-1, 3)
-    high = np.array([solid.high_m for solid in guess.solids]).reshape(-1, 3)
     # 0 to 2: normal towards larger x, y, z; 3 to 5: towards smaller; -1: never lit (a ceiling)
     face = np.where(ends.sign > 0, ends.axis, ends.axis + 3).astype(np.int8)
     face[(face == 5) | (ends.surface == OUTSIDE)] = -1
@@ -91,14 +88,51 @@ def unit_patches(
     above_face[np.arange(len(above_face)), ends.axis] += ends.sign * np.float32(2.0 * EPSILON_M)
     suns = suns_room.astype(float)
     for number, rect in enumerate(guess.windows):
-        axis, side = WALLS[rect.wall]
-        inner, outward = (guess.size_m[axis], 1.0) if side else (0.0, -1.0)
-        outer = inner + outward * guess.thickness_m
-        opening = np.array([axis, outward, inner, outer, *rect.u_m, *rect.z_m])
-        bars = [(b.upright, *b.span_m, *b.depth_m) for b in guess.bars if b.window == number]
-        glass = glass_optics(rect.transmittance, suns[:, axis])[0]
-        add_through(
-            opening, np.array(bars, float).reshape(-1, 5), low, high, above_face, face,
-            ends.spread_m, weight, pixel, suns, glass, total,
+        glass = glass_optics(rect.transmittance, suns[:, WALLS[rect.wall][0]])[0]
+        _add_through_window(
+            guess, number, above_face, face, ends.spread_m, tone / float(sub**2), pixel, suns,
+            glass, total,
         )  # fmt: skip
     return total.astype(np.float32)
+
+
+def sky_openness(guess: Guess, rays_world: Floats32, spread: float) -> Floats32:
+    """Return the share of the sky that a guess leaves to camera rays above the horizon, 0 to 1 [s].
+
+    rays_world: unit vectors [s, 3], as in `surfaces`; spread: angle over which edges are soft, rad.
+    """
+    rays = (rays_world @ guess.camera_turn.T).astype(float)
+    total = np.zeros((len(rays), 1))
+    camera, column = np.array([guess.camera_m], np.float32), np.zeros(1, np.intp)
+    for number, rect in enumerate(guess.windows):
+        axis, side = WALLS[rect.wall]
+        face = np.array([axis if side else axis + 3], np.int8)
+        away = abs(guess.size_m[axis] * side - guess.camera_m[axis])
+        soft = np.array([max(spread * away, HARD_M)], np.float32)
+        cosine = np.maximum(np.abs(rays[:, axis]), 1e-3)  # a camera is no surface
+        _add_through_window(
+            guess, number, camera, face, soft, np.ones(1), column, rays, 1.0 / cosine, total
+        )
+    return np.minimum(total[:, 0], 1.0).astype(np.float32)
+
+
+def _add_through_window(
+    guess: Guess, number: int, position: Floats32, face: NDArray[np.int8], softness: Floats32,
+    weight: Floats, target: Indices, suns: Floats, glass: Floats, totals: Floats,
+) -> None:  # fmt: skip
+    """Add to `totals` the light of n suns through window `number` of the guess, past all solids.
+
+    The other arguments are those of `add_through`.
+    """
+    rect = guess.windows[number]
+    axis, side = WALLS[rect.wall]
+    inner, outward = (guess.size_m[axis], 1.0) if side else (0.0, -1.0)
+    outer = inner + outward * guess.thickness_m
+    opening = np.array([axis, outward, inner, outer, *rect.u_m, *rect.z_m])
+    bars = [(b.upright, *b.span_m, *b.depth_m) for b in guess.bars if b.window == number]
+    low = np.array([solid.low_m for solid in guess.solids]).reshape(-1, 3)
+    high = np.array([solid.high_m for solid in guess.solids]).reshape(-1, 3)
+    add_through(
+        opening, np.array(bars, float).reshape(-1, 5), low, high, position, face,
+        softness, weight, target, suns, glass, totals,
+    )  # fmt: skip

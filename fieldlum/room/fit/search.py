@@ -42,7 +42,7 @@ def prior_unit(evidence: SceneEvidence, start: Guess, albedo: Floats) -> float:
 
 @dataclass(frozen=True, slots=True)
 class SceneCost:
-    """Cost of a guess: its misfit to the evidence plus a prior, as a sum of squares.
+    """Cost of a guess: its misfit to captures and skyline plus a prior, as a sum of squares.
 
     start: the stated guess; parameters: those that have a prior; albedo: of west, east, south and
     north wall, floor, ceiling [6]; unit: cost of one standard deviation of one parameter; pose:
@@ -62,22 +62,23 @@ class SceneCost:
         return np.inf if residuals is None else float(residuals @ residuals)
 
     def by_hour(self, guess: Guess) -> Floats:
-        """Return the misfit of each hour plus the prior's cost, [n]; their mean is the cost."""
-        prior = self.prior(guess)
+        """Return each hour's misfit plus the cost of skyline and prior, [n]; the mean is the cost."""
+        same = np.concatenate([self.prior(guess), self.evidence.skyline.error(guess)])
         misfit = self.evidence.misfit(self.evidence.patches(guess, self.albedo))
-        return misfit + float(prior @ prior)
+        return misfit + float(same @ same)
 
     def residuals(self, guess: Guess) -> Floats32 | None:
         """Return numbers [q] whose squares add up to the cost; None for an impossible guess.
 
-        First are those of n hours at m pixels, hour by hour, then those of the prior.
+        First are those of n hours at m pixels, hour by hour, then those of skyline and prior.
         """
         if not is_possible(guess):
             return None
         patch = self.evidence.patches(guess, self.albedo)
         error = np.log(self.evidence.below + patch) - self.evidence.log_seen
         misfit = error / np.sqrt((error**2 + np.float32(WIDTH**2)) * np.float32(error.size))
-        return np.concatenate([misfit.ravel(), self.prior(guess)]).astype(np.float32)
+        sky = self.evidence.skyline.error(guess)
+        return np.concatenate([misfit.ravel(), sky, self.prior(guess)]).astype(np.float32)
 
     def prior(self, guess: Guess) -> Floats:
         """Return a guess's weighted deviations from the stated numbers; their squares are its cost.
@@ -177,7 +178,7 @@ def covariance(cost: SceneCost, guess: Guess, parameters: Sequence[Parameter]) -
     slopes = _slopes(cost, guess, parameters, residuals, share).astype(float)
     inverse = np.linalg.pinv(slopes @ slopes.T, hermitian=True)
     hours = len(cost.evidence)
-    count = cost.evidence.log_seen.size  # residuals of the evidence; those of the prior follow
+    count = cost.evidence.log_seen.size  # of the captures; those of skyline and prior follow
     gradient = slopes[:, :count] * residuals[:count]
     gradient = gradient.reshape(len(slopes), hours, -1).sum(axis=2)  # [k, n]
     days, group = np.unique(cost.evidence.days, return_inverse=True)

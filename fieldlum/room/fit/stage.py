@@ -9,7 +9,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
-from fieldlum.learn.models.training_data import Dataset
+from fieldlum.learn.models.training_data import Dataset, with_sky_view
 from fieldlum.room.fit.draw_scene import draw
 from fieldlum.room.fit.fit import fit_scene
 from fieldlum.room.fit.parameters import CLOCK_SD_MIN
@@ -40,6 +40,7 @@ def run(
         raise InputError(data.source or "the site", "no [room]", expected, remedy)
     check_captures(data, room)
     check_writable(out)
+    data = with_sky_view(data)
     discs = read_discs(Session(Path(data.source).parent))
     pose = pose_of(discs, data.setup.site, data.heading_deg, clock_sd_min)
     fitted = fit_scene(data, room, pose=pose and prior_of(pose), clock_sd_min=clock_sd_min)
