@@ -12,8 +12,12 @@ from fieldlum.core.records import Obstruction, Room
 from fieldlum.room.fit.evidence import PIXELS, scene_evidence
 from fieldlum.room.fit.fit import SceneSearch
 from fieldlum.room.fit.guess import Guess, guess_of, is_outside, is_possible
-from fieldlum.room.fit.proposals import BARS, FURNITURE, KINDS, SHADES, Kind
+from fieldlum.room.fit.proposals import BARS, FURNITURE, KINDS, SHADES, Kind, with_box_outside
+from fieldlum.room.fit.renderer import sky_openness
 from fieldlum.room.fit.search import PRIOR_HOURS, PRIOR_SHARE, prior_unit
+from fieldlum.room.fit.skyline import skyline_of
+from fieldlum.sky.sky_view.picture import SkyGrid
+from fieldlum.sky.sky_view.view import SkyView
 
 HIDDEN_ELEVATION_DEG = 22.0
 
@@ -52,6 +56,56 @@ def test_a_building_is_found_between_suns_that_pass_it() -> None:
     """It hides the noon of December, and no other hour; a facade as wide as a wall hides more."""
     search, shaded = _one(SHADES, Obstruction(-1.5, -26.0, 0.0, 8.0, 6.0, 9.0))
     assert search.cost()(shaded) < 0.6 * search.cost()(search.start)
+
+
+def _sky_view(guess: Guess, step_deg: float = 1.0) -> SkyView:
+    """Return the sky as the camera of a guess sees it."""
+    grid = SkyGrid(
+        first_altitude_deg=90.0,
+        first_azimuth_deg=-180.0,
+        step_deg=step_deg,
+        heading_deg=180.0,
+        height=round(90.0 / step_deg),
+        width=round(360.0 / step_deg),
+    )
+    rays = grid.rays().reshape(-1, 3).astype(np.float32)
+    openness = sky_openness(guess, rays, 0.0).reshape(grid.height, grid.width)
+    full = np.ones_like(openness)
+    return SkyView(grid, openness, 0.0 * full, full, full, openness, openness)
+
+
+@pytest.mark.analytic
+def test_the_sky_beside_a_building_bounds_it() -> None:
+    """No capture needs to have the sun there: too wide, narrow, high or low a building costs."""
+    start = guess_of(ROOM)
+    (rect,) = start.windows
+
+    def built(half_m: float, top_m: float) -> Guess:
+        middle = float(np.mean(rect.u_m))
+        along = (middle - half_m, middle + half_m)
+        return with_box_outside(start, rect, along, (8.0, 12.0), (0.0, top_m))
+
+    true = built(2.0, 4.0)
+    skyline = skyline_of(_sky_view(true), start)
+    costs = [(skyline.error(g) ** 2).sum() for g in (true, built(40.0, 4.0), built(1.0, 4.0))]
+    costs += [(skyline.error(g) ** 2).sum() for g in (built(2.0, 5.0), built(2.0, 3.0), start)]
+    assert costs[0] < 0.2 * min(costs[1:])
+    assert len(skyline_of(None, start).rays) == 0
+
+
+@pytest.mark.analytic
+def test_what_hangs_is_no_building() -> None:
+    """Behind a half-closed blind a building may have any height; open sky still excludes it."""
+    start = guess_of(ROOM)
+    (rect,) = start.windows
+    low, high = rect.z_m
+    middle = (low + high) / 2.0
+    blind = with_box_outside(start, rect, (-1.0, 9.0), (0.1, 0.15), (middle, high))
+    skyline = skyline_of(_sky_view(blind), start)
+    assert len(skyline.rays) > 50 and (skyline.openness > 0.5).all()
+    eye_m = start.camera_m[2]
+    top = np.degrees(np.arcsin(skyline.rays[:, 2].max()))
+    assert top < np.degrees(np.arctan2(middle - eye_m, start.camera_m[1])) + 1.0
 
 
 @pytest.mark.analytic

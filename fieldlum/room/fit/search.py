@@ -62,7 +62,10 @@ class SceneCost:
         return np.inf if residuals is None else float(residuals @ residuals)
 
     def by_hour(self, guess: Guess) -> Floats:
-        """Return each hour's misfit plus the cost of skyline and prior, [n]; the mean is the cost."""
+        """Return the cost of each hour, [n], whose mean is that of the guess.
+
+        It is the hour's misfit plus the cost of skyline and prior.
+        """
         same = np.concatenate([self.prior(guess), self.evidence.skyline.error(guess)])
         misfit = self.evidence.misfit(self.evidence.patches(guess, self.albedo))
         return misfit + float(same @ same)
