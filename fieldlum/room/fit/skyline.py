@@ -35,7 +35,7 @@ class Skyline:
     def error(self, guess: Guess) -> Floats32:
         """Return the guess's openness less the seen one, times the root of a ray's share, [s].
 
-        The share is of the whole sphere, so that a direction counts as much as a pixel.
+        The share is of the full sphere, so that a direction counts as much as a pixel.
         """
         shown = sky_openness(guess, self.rays, self.spread)
         return np.float32(np.sqrt(0.5 / RAYS)) * (shown - self.openness)
