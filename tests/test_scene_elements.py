@@ -18,6 +18,7 @@ from fieldlum.room.fit.search import PRIOR_HOURS, PRIOR_SHARE, prior_unit
 from fieldlum.room.fit.skyline import skyline_of
 from fieldlum.sky.sky_view.picture import SkyGrid
 from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sun import OBLIQUITY_DEG, celestial_pole
 
 HIDDEN_ELEVATION_DEG = 22.0
 
@@ -86,11 +87,36 @@ def test_the_sky_beside_a_building_bounds_it() -> None:
         return with_box_outside(start, rect, along, (8.0, 12.0), (0.0, top_m))
 
     true = built(2.0, 4.0)
-    skyline = skyline_of(_sky_view(true), start)
+    skyline = skyline_of(_sky_view(true), start, 47.6)
     costs = [(skyline.error(g) ** 2).sum() for g in (true, built(40.0, 4.0), built(1.0, 4.0))]
     costs += [(skyline.error(g) ** 2).sum() for g in (built(2.0, 5.0), built(2.0, 3.0), start)]
     assert costs[0] < 0.2 * min(costs[1:])
-    assert len(skyline_of(None, start).rays) == 0
+    assert len(skyline_of(None, start, 47.6).rays) == 0
+
+
+@pytest.mark.analytic
+def test_directions_without_sun_are_not_examined_and_build_nothing() -> None:
+    """A merged session has openness 0 there, whatever the camera sees (merge's `sun_tiles`)."""
+    start = guess_of(ROOM)
+    view = _sky_view(start)
+    declination = np.arcsin(view.grid.rays() @ celestial_pole(47.6))
+    passes = np.abs(declination) < np.radians(OBLIQUITY_DEG + 3.0)
+    openness, pane = (np.where(passes, x, 0.0) for x in (view.openness, view.transmittance))
+    skyline = skyline_of(replace(view, openness=openness, transmittance=pane), start, 47.6)
+    assert len(skyline.rays) > 50
+    assert (skyline.error(start) ** 2).sum() < 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_a_screen_in_the_room_is_no_building() -> None:
+    """A monitor before the camera hides sky, and no sun of any capture."""
+    monitor = Obstruction(2.1, 1.9, 1.1, 0.6, 0.05, 0.5)
+    data = captures(ROOM)
+    view = _sky_view(guess_of(replace(ROOM, obstruction=(monitor,))))
+    search = SceneSearch(replace(data, sky_view=view), ROOM, None, 5.0, 1500)
+    search.accept(search._with_more((SHADES,)))
+    assert not search.guess.solids
 
 
 @pytest.mark.analytic
@@ -101,7 +127,7 @@ def test_what_hangs_is_no_building() -> None:
     low, high = rect.z_m
     middle = (low + high) / 2.0
     blind = with_box_outside(start, rect, (-1.0, 9.0), (0.1, 0.15), (middle, high))
-    skyline = skyline_of(_sky_view(blind), start)
+    skyline = skyline_of(_sky_view(blind), start, 47.6)
     assert len(skyline.rays) > 50 and (skyline.openness > 0.5).all()
     eye_m = start.camera_m[2]
     top = np.degrees(np.arcsin(skyline.rays[:, 2].max()))

@@ -224,9 +224,8 @@ class MeanTransport:
     Captures cannot always tell which is better under suns that they do not have. The squared error
     of the mean is at most the mean squared error of the two models, and less where the errors of
     the two differ. stated: without a room if the captures clearly contradict it; share: weight of
-    the fitted model; agreement: mean squared error of the mean on held-out hours, over that of two
-    models whose errors are the same everywhere; held_out_mse: log10 MSE of each capture, predicted
-    from other days [n].
+    the fitted model, 0 to 1; held_out_mse: log10 MSE of each capture, predicted from other days
+    [n].
     """
 
     fitted: Transport
@@ -261,10 +260,12 @@ class MeanTransport:
         sd = share * fitted.log10_sd + other * stated.log10_sd
         weights = equirect_solid_angles(*gap.shape[1:])[self.fitted.seen]
         spread = np.average(gap[:, self.fitted.seen] ** 2, axis=1, weights=weights)
+        # half, and less for a share near 0 or 1, where the other model hardly counts
+        part = 0.5 * min(share * other / (MAX_SHARE * (1.0 - MAX_SHARE)), 1.0)
         return Prediction(
             luminance_cdm2=mean.astype(np.float32),
-            log10_sd=np.sqrt(sd**2 + gap**2 / 2.0).astype(np.float32),
-            expected_mse=(rms**2 + spread) / 2.0,
+            log10_sd=np.sqrt(sd**2 + part * gap**2).astype(np.float32),
+            expected_mse=(1.0 - part) * rms**2 + part * spread,
             trusted=fitted.trusted,
         )
 

@@ -247,7 +247,7 @@ def scene_evidence(
         pixels=chosen,
         sub=sub,
         spread=np.pi / data.shape[0] / sub,
-        skyline=skyline_of(data.sky_view, guess),
+        skyline=skyline_of(data.sky_view, guess, data.setup.site.latitude_deg),
     )
     return evidence.relit(data, np.zeros_like(evidence.below))
 

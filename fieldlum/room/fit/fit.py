@@ -178,13 +178,17 @@ class SceneSearch:
         """Return the share of the cost that an element saves; -inf if it can be by chance.
 
         The saving can be by chance if its mean over the hours does not exceed the standard error of
-        that mean. without, with_it: the guesses without and with the element.
+        that mean. The hours must support it without the skyline, which only forms what they
+        support: a screen in the room hides sky too. without, with_it: the guesses without and with
+        the element.
         """
         cost = self.cost()
         before, after = (cost.by_hour(guess) for guess in (without, with_it))
         saved = before - after
         standard_error = saved.std(ddof=1) / np.sqrt(len(saved))
-        certain = saved.mean() > MIN_STANDARD_ERRORS * standard_error
+        of_sky = [(cost.evidence.skyline.error(guess) ** 2).sum() for guess in (without, with_it)]
+        own = saved.mean() - float(of_sky[0] - of_sky[1])  # of the hours without the skyline
+        certain = min(saved.mean(), own) > MIN_STANDARD_ERRORS * standard_error
         return float(saved.sum() / before.sum()) if certain else -np.inf
 
     def _prune(self, kinds: Sequence[Kind]) -> None:

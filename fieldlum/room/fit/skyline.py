@@ -11,6 +11,7 @@ from fieldlum.optics.projection import direction
 from fieldlum.room.fit.guess import Guess
 from fieldlum.room.fit.renderer import sky_openness
 from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sun import OBLIQUITY_DEG, celestial_pole
 
 # Directions on the upper half of the sphere, on a spiral of equal areas: 1.3 degrees apart. Chosen.
 RAYS, GOLDEN_DEG = 12000, 180.0 * (3.0 - 5**0.5)
@@ -41,15 +42,20 @@ class Skyline:
         return np.float32(np.sqrt(0.5 / RAYS)) * (shown - self.openness)
 
 
-def skyline_of(view: SkyView | None, guess: Guess) -> Skyline:
+def skyline_of(view: SkyView | None, guess: Guess, latitude_deg: float) -> Skyline:
     """Return the skyline that a sky view shows inside the windows of the stated guess.
 
     Without a view it has no directions. Something above open sky hangs, such as a blind, a canopy
     or a crown, and may hide a building: at its height and above, a window only shows what is open.
+    So it does where the sun is on no day of the year and merge has no luminance: the transmittance
+    is 0 there, and merge did not examine whether it is dark.
+    latitude_deg: of the place.
     """
     k = np.arange(RAYS) + 0.5
     rays = direction(np.degrees(np.arcsin(k / RAYS)), GOLDEN_DEG * k % 360.0).astype(np.float32)
     spread, kept, openness = 0.0, np.zeros(RAYS, bool), np.zeros(RAYS, np.float32)
+    # merge examines 2.4 degrees more
+    sun_passes = abs(rays @ celestial_pole(latitude_deg)) < np.sin(np.radians(OBLIQUITY_DEG + 1.0))
     if view is not None:
         inside, row, column = view.grid.indices(rays)
         known = np.where(view.u < MAX_U, view.openness, np.float32(np.nan))
@@ -62,5 +68,6 @@ def skyline_of(view: SkyView | None, guess: Guess) -> Skyline:
             glass = sky_openness(alone, rays, margin) > 0.99  # the margin is half a soft edge
             hangs = glass & (openness < SHUT) & below[row, column]
             lowest = rays[hangs, 2].min(initial=1.0)
-            kept |= glass & (openness >= np.where(rays[:, 2] < lowest, 0.0, OPEN))
+            decided = (rays[:, 2] < lowest) & (sun_passes | (view.transmittance[row, column] > 0.0))
+            kept |= glass & (openness >= np.where(decided, 0.0, OPEN))
     return Skyline(rays[kept], openness[kept], spread)
