@@ -11,7 +11,7 @@ from test_scene_search import HEIGHT, ROOM, captures
 from fieldlum.core.records import Obstruction, Room
 from fieldlum.room.fit.evidence import PIXELS, scene_evidence
 from fieldlum.room.fit.fit import SceneSearch
-from fieldlum.room.fit.guess import Guess, guess_of, is_outside, is_possible
+from fieldlum.room.fit.guess import Bar, Guess, guess_of, is_outside, is_possible
 from fieldlum.room.fit.proposals import BARS, FURNITURE, KINDS, SHADES, Kind, with_box_outside
 from fieldlum.room.fit.renderer import sky_openness
 from fieldlum.room.fit.search import PRIOR_HOURS, PRIOR_SHARE, prior_unit
@@ -92,6 +92,19 @@ def test_the_sky_beside_a_building_bounds_it() -> None:
     costs += [(skyline.error(g) ** 2).sum() for g in (built(2.0, 5.0), built(2.0, 3.0), start)]
     assert costs[0] < 0.2 * min(costs[1:])
     assert len(skyline_of(None, start, 47.6).rays) == 0
+
+
+@pytest.mark.analytic
+def test_a_stated_bar_does_not_hang() -> None:
+    """What the user has stated above open sky does not hide buildings behind it."""
+    start = guess_of(ROOM)
+    (rect,) = start.windows
+    middle = float(np.mean(rect.z_m))
+    bar = Bar(0, False, (middle - 0.1, middle + 0.1), (0.0, 0.05))
+    barred = replace(start, bars=(bar,))
+    tower = with_box_outside(barred, rect, (2.0, 3.0), (8.0, 12.0), (0.0, 9.0))
+    shut = [(skyline_of(_sky_view(tower), g, 47.6).openness < 0.1).sum() for g in (barred, start)]
+    assert shut[0] > 2 * shut[1]
 
 
 @pytest.mark.analytic

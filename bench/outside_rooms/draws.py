@@ -5,8 +5,8 @@
 Each room is written as a case into OUT (`make_case.py`), fitted with each offset of the regular
 choice of pixels, and learnt with the fitted patches. A line a draw: log10 MSE of maps of the test
 hours (at 400 pixels), over the better of no patches and tape-measure box, expected over true error,
-misfit, share of the model with patches, overlap of the patches of all captures with those of the
-first draw, and CPU seconds of the fit.
+misfit, share of the fitted model, share of pixels within two standard deviations, overlap of the
+patches of all captures with those of the first draw, and CPU seconds of the fit.
 """
 
 from __future__ import annotations
@@ -42,14 +42,17 @@ def drawn(data: Dataset) -> Mask:
     return mask.reshape(data.shape)
 
 
-def scored(data: Dataset, test: Dataset) -> tuple[float, float, float]:
-    """Return log10 MSE, expected over true error, and the share of the model with patches."""
+def scored(data: Dataset, test: Dataset) -> tuple[float, float, float, float]:
+    """Return log10 MSE, expected over true error, share of the fitted model, pixels within 2 sd."""
     model = fit(data, patch="none" if data.patch_cdm2 is None else "absolute")
     made = model.predict(test.light, test.patch_cdm2)
     logs = (np.log10(np.maximum(d.luminance_cdm2[:, data.seen], 1.0)) for d in (made, test))
-    error = float((np.subtract(*logs) ** 2).mean())
+    squared = np.subtract(*logs) ** 2
+    assert made.log10_sd is not None
+    within = float((squared < 4.0 * made.log10_sd[:, data.seen] ** 2).mean())
+    error = float(squared.mean())
     share = model.share if isinstance(model, MeanTransport) else 1.0
-    return error, float(made.expected_mse.mean()) / error, share
+    return error, float(made.expected_mse.mean()) / error, share, within
 
 
 def overlap(one: NDArray, other: NDArray) -> float:
@@ -78,10 +81,10 @@ def judge(case: Path, draws: list[float]) -> None:
         first = captures.patch_cdm2 if first is None else first
         # the test hours have true times
         hours = with_scene(test, replace(scene, clock_min=0.0))
-        error, ratio, share = scored(replace(captures, seen=seen), hours)
+        error, ratio, share, within = scored(replace(captures, seen=seen), hours)
         print(
             f"| {case.name} | {draw:g} | {error:.2e} | {error / better:.2f} | {ratio:.2f} | "
-            f"{scene.misfit['fitted']:.4f} | {share:.2f} | "
+            f"{scene.misfit['fitted']:.4f} | {share:.2f} | {within:.3f} | "
             f"{overlap(captures.patch_cdm2, first):.2f} | {cpu:.0f} |",
             flush=True,
         )
@@ -94,9 +97,10 @@ def main() -> None:
     parser.add_argument("--draws", default=DRAWS)
     wanted = parser.parse_args()
     print(
-        "| room | draw | log10 MSE | over the better | expected / true | misfit | share | ", end=""
+        "| room | draw | log10 MSE | over the better | expected / true | misfit | share | 2 sd | ",
+        end="",
     )
-    print("overlap | CPU s |\n" + "|---" * 9 + "|")
+    print("overlap | CPU s |\n" + "|---" * 10 + "|")
     for path in wanted.rooms:
         room = tomllib.loads(path.read_text())
         case = wanted.out / path.stem

@@ -251,16 +251,16 @@ class MeanTransport:
         stated = self.stated.predict(light, self._stated_patches(light))
         share, other = self.share, 1.0 - self.share  # weights of the two models
         mean = fitted.luminance_cdm2**share * stated.luminance_cdm2**other  # geometric
-        gap = np.subtract(
-            *(np.log10(np.maximum(p.luminance_cdm2, MIN_CDM2)) for p in (fitted, stated))
-        )
+        maps = (np.maximum(made.luminance_cdm2, MIN_CDM2) for made in (fitted, stated))
+        gap = np.log10(np.divide(*maps))
         # root mean squared error and standard deviation of log10 L if both models erred alike
         rms = share * np.sqrt(fitted.expected_mse) + other * np.sqrt(stated.expected_mse)
         assert fitted.log10_sd is not None and stated.log10_sd is not None
         sd = share * fitted.log10_sd + other * stated.log10_sd
         weights = equirect_solid_angles(*gap.shape[1:])[self.fitted.seen]
         spread = np.average(gap[:, self.fitted.seen] ** 2, axis=1, weights=weights)
-        # half, and less for a share near 0 or 1, where the other model hardly counts
+        # Half fits twelve rooms of other renderers best (docs/validation.md). For a share near 0 or
+        # 1 it is less, because the other model hardly counts.
         part = 0.5 * min(share * other / (MAX_SHARE * (1.0 - MAX_SHARE)), 1.0)
         return Prediction(
             luminance_cdm2=mean.astype(np.float32),

@@ -45,16 +45,16 @@ class Skyline:
 def skyline_of(view: SkyView | None, guess: Guess, latitude_deg: float) -> Skyline:
     """Return the skyline that a sky view shows inside the windows of the stated guess.
 
-    Without a view it has no directions. Something above open sky hangs, such as a blind, a canopy
-    or a crown, and may hide a building: at its height and above, a window only shows what is open.
-    So it does where the sun is on no day of the year and merge has no luminance: the transmittance
-    is 0 there, and merge did not examine whether it is dark.
-    latitude_deg: of the place.
+    Without a view it has no directions. A direction without open sky is omitted in two cases,
+    because it does not show a building. First: it is at least as high as something that hangs above
+    open sky in the same window, such as a blind, a canopy or a crown, and that the guess does not
+    have. Second: the sun is there on no day of the year, and merge stored no luminance
+    (transmittance 0 in the view). latitude_deg: of the place.
     """
     k = np.arange(RAYS) + 0.5
     rays = direction(np.degrees(np.arcsin(k / RAYS)), GOLDEN_DEG * k % 360.0).astype(np.float32)
     spread, kept, openness = 0.0, np.zeros(RAYS, bool), np.zeros(RAYS, np.float32)
-    # merge examines 2.4 degrees more
+    # a margin of a degree; that of merge is 3.4 degrees
     sun_passes = abs(rays @ celestial_pole(latitude_deg)) < np.sin(np.radians(OBLIQUITY_DEG + 1.0))
     if view is not None:
         inside, row, column = view.grid.indices(rays)
@@ -63,10 +63,11 @@ def skyline_of(view: SkyView | None, guess: Guess, latitude_deg: float) -> Skyli
         openness = np.where(inside, known[row, column], np.float32(np.nan))
         spread = np.radians(view.grid.step_deg)
         margin = 2.0 * np.radians(MARGIN_DEG) + spread
+        clear = sky_openness(guess, rays, margin) > OPEN  # of bars and solids that are stated
         for rect in guess.windows:
             alone = replace(guess, windows=(rect,), solids=(), bars=())
             glass = sky_openness(alone, rays, margin) > 0.99  # the margin is half a soft edge
-            hangs = glass & (openness < SHUT) & below[row, column]
+            hangs = glass & clear & (openness < SHUT) & below[row, column]
             lowest = rays[hangs, 2].min(initial=1.0)
             decided = (rays[:, 2] < lowest) & (sun_passes | (view.transmittance[row, column] > 0.0))
             kept |= glass & (openness >= np.where(decided, 0.0, OPEN))
