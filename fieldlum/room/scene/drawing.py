@@ -91,17 +91,17 @@ def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
     heading_deg: clockwise from true north.
     """
     # The drawing's downwards direction is the "south" wall's azimuth; angles run clockwise.
-    up_deg = room.wall_azimuth_deg + 180.0
     camera = (room.camera_x_m, room.camera_y_m)
-    style = {"scale": 8.0, "width": 0.01, "clip_on": False}
+    style = {"scale": 12.0, "width": 0.01, "clip_on": False}
     for name, azimuth_deg, place, colour, coordinates in (
         ("camera", heading_deg, camera, RED, axes.transData),
-        ("north", 0.0, (-0.1, 1.1), INK, axes.transAxes),
+        ("north", 0.0, (-0.05, 1.05), INK, axes.transAxes),
     ):
-        turn = np.radians(azimuth_deg - up_deg)
+        turn = np.radians(azimuth_deg - room.wall_azimuth_deg - 180.0)
         right, up = np.sin(turn), np.cos(turn)
         axes.quiver(*place, right, up, color=colour, transform=coordinates, gid=name, **style)
-    axes.text(-0.15, 1.1, "N", ha="right", va="center", transform=axes.transAxes)
+    tip = (0.12 * right - 0.05, 0.12 * up + 1.05)  # of the last arrow, which shows north
+    axes.text(*tip, "N", ha="center", va="center", transform=coordinates)
     axes.plot(*camera, "o", color=RED, ms=9)
     label = f"camera to {compass_text(heading_deg)}, {room.camera_z_m:.3g} m high"
     axes.text(0.5, -0.16, label, ha="center", color=RED, transform=axes.transAxes)
