@@ -75,7 +75,7 @@ COLUMNS = {
 # Words of the notes of `train` that name a trouble. No note names the other troubles.
 NAMED_BY = {
     "clouds": "the sky in the windows was",
-    "north": "north is wrong",
+    "north": "heading_deg and wall_azimuth_deg were",
     "knock": "camera was turned",
     "lamps": "a lamp was on, but not marked",
     "blind": "a moved blind",
@@ -266,7 +266,7 @@ def _trouble(session: Session, troubles: Troubles, height: int) -> None:
 def _row(data: Dataset, tests: _Tests, troubles: Troubles | None, folder: Path) -> dict[str, Any]:
     read = data.notes
     data, changes = without_changes(data, with_patch=True)
-    moved = warnings_of(misplacement_of(data, "absolute"), data.setup)
+    moved = warnings_of(misplacement_of(data, "absolute"))
     fitted = fit("transport", data, patch="absolute", seed=0)
     notes = [*read, *changes, *model_notes(fitted, data, "absolute")]
     notes += [*held_out_warnings(fitted, data), *moved]

@@ -258,7 +258,7 @@ def run(spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0) -> 
         train, test_maps = case.train.thin(20), case.test.thin(20)
         mode = patch_mode(train, spec.patch)
         fitted, spent = fit_timed(spec.name, train, patch=mode, seed=case.seed, budget_s=budget_s)
-        misplaced = warnings_of(misplacement_of(case.train, mode), case.train.setup)
+        misplaced = warnings_of(misplacement_of(case.train, mode))
         warned = bool(held_out_warnings(fitted, train) or misplaced)
         row = _row(evaluate(fitted, truth(test_maps, glare=False)), warned)
         about = {"name": spec.label, "regime": case.name, "n_train": len(train)}
