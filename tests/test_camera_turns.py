@@ -8,6 +8,7 @@ import pytest
 from learning_room import dataset, write_pairs
 from scipy.special import expit
 
+from fieldlum.core.arrays import Floats
 from fieldlum.learn.models.camera_turns import (
     camera_turns,
     interpolation_u,
