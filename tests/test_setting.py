@@ -176,7 +176,7 @@ def test_experience_of_like_suns_raises_the_expectation() -> None:
 
 
 @pytest.mark.contract
-@pytest.mark.parametrize("name", ["north_deg", "clock_min", "wall_azimuth_deg", "camera_x_m"])
+@pytest.mark.parametrize("name", ["north_deg", "clock_min", "wall_azimuth_deg"])
 def test_every_cause_has_words(name: str) -> None:
     found = Misplacement({name: (1.2, 0.1)}, gain=0.5, hours=40)
     (text,) = warnings_of(found)

@@ -25,9 +25,8 @@ from fieldlum.room.scene.box_room import is_box_with_window
 MIN_HOURS = 3  # sunny captures that a test needs; chosen
 MIN_UNCERTAINTIES = 3.0  # smallest ratio of a correction to its standard uncertainty; chosen
 # Smallest corrections that are reported: a compass and a hand-set clock are no better. Chosen.
+# Lengths are not reported: they absorb what the room has and a box lacks, such as a blind.
 MIN_OFF = {"north_deg": 0.5, "wall_azimuth_deg": 0.5, "clock_min": 1.0}
-# A length that is off by more standard deviations of a tape is wrong, not inaccurate; chosen.
-TAPE_SDS = 3.0
 MIN_GAIN = 0.02  # share of the misfit that wrong numbers must explain; chosen
 _ANY_CLOCK_MIN = 60.0  # standard uncertainty of a clock that nobody compared; chosen
 
@@ -37,7 +36,7 @@ class Misplacement:
     """Wrong settings that would explain why sun patches are not where they are computed.
 
     off: by the name of a number (`Parameter.name`), the correction that must be added to the stated
-    one, and its standard uncertainty, which includes what a box lacks (deg, min, m; clock_min above
+    one, and its standard uncertainty, which includes what a box lacks (deg, min; clock_min above
     0: stated times are later than the true ones); empty if nothing is wrong. gain: share of the
     misfit, 0 to 1, that this explains, in `hours` sunny hours. note: a sentence on a grossly wrong
     direction, "" without; with it nothing else was tested.
@@ -84,11 +83,8 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
     off: dict[str, tuple[float, float]] = {}
     for p, steps in zip(parameters, u_steps.tolist(), strict=True):
         by, u = p.measured(guess) - p.measured(state.start), steps * p.step
-        enough = max(MIN_UNCERTAINTIES * u, MIN_OFF.get(p.name, TAPE_SDS * p.sd))
-        if abs(by) > enough and p.name not in ("tilt_deg", "roll_deg"):
+        if p.name in MIN_OFF and abs(by) > max(MIN_UNCERTAINTIES * u, MIN_OFF[p.name]):
             off[p.name] = (by, MODEL_ERROR * u)
-    # Lengths also absorb what the room has and a box lacks: they count if nothing else is wrong.
-    off = {name: value for name, value in off.items() if name in MIN_OFF} or off
     gain, hours = 1.0 - final / cost(state.start), len(state.evidence)
     if off and gain > MIN_GAIN:
         return Misplacement(off, gain=gain, hours=hours)
@@ -124,17 +120,14 @@ def warnings_of(misplacement: Misplacement | None) -> list[str]:
 
 
 def _cause(name: str, by: float, u: float) -> str:
-    """Return a clause on the correction of a parameter and its uncertainty, deg, min or m."""
+    """Return a clause on the correction of a parameter and its uncertainty, deg or min."""
     if name == "clock_min":
         return (
             f"the pictures' clock were {abs(by):.0f} +- {u:.0f} min {'fast' if by > 0 else 'slow'}"
         )
-    too = "too small" if by > 0 else "too large"
-    if name.endswith("_deg"):
-        of = (
-            "wall_azimuth_deg alone"
-            if name == "wall_azimuth_deg"
-            else "heading_deg and wall_azimuth_deg"
-        )
-        return f"{of} were {abs(by):.1f} +- {u:.1f} degrees {too}"
-    return f"{name} were {abs(by):.2f} +- {u:.2f} m {too}"
+    of = (
+        "wall_azimuth_deg alone"
+        if name == "wall_azimuth_deg"
+        else "heading_deg and wall_azimuth_deg"
+    )
+    return f"{of} were {abs(by):.1f} +- {u:.1f} degrees too {'small' if by > 0 else 'large'}"
