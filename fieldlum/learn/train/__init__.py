@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats, Mask
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import counted, listed
+from fieldlum.core.records import counted
 from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
 from fieldlum.learn.model_kinds import MODELS
@@ -461,41 +461,29 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
 def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     """Return notes about large errors of the model on captures with their day held out.
 
-    They are about days that are much worse than the median day, and about large errors in general.
-    Only the last can be a WARNING: in nine rooms of other renderers in which nothing changed, three
-    have such days, and for 8 to 59 % of the captures another day predicts `TRUSTED_MSE` or worse.
-    The list is empty if there are none, and for a model without held-out errors.
+    Large errors are a WARNING, other ones a remark: in nine rooms of other renderers in which
+    nothing changed, another day predicts 8 to 59 % of the captures worse than `TRUSTED_MSE`. The
+    list is empty without large errors, and for a model without held-out errors.
     """
-    errors, weight, day = _judged_errors(fitted, data)
+    errors, weight = _judged_errors(fitted, data)
     if not len(errors):
         return []
-    texts, days = [], np.unique(day)
-    means = np.array([trimmed_mean(errors[day == d], weight[day == d]) for d in days])
-    exceptions = days[(means > POOR_MSE) & (means > 4.0 * np.median(means))]
-    if len(exceptions):
-        texts.append(
-            f"the held-out error of {listed(exceptions.tolist())} is over 4 times that of "
-            "the median day: compare its irradiance (clean.csv) and pictures with other days. "
-            "A blind, a lamp: mark it (fieldlum status SESSION --mark SLOT blind=half); wrong "
-            "irradiance: set ok = 0 in pairs.csv; then train again. If no other day has such "
-            "light, nothing need be wrong: capture another day like it"
-        )
     share = float(np.average(errors > TRUSTED_MSE, weights=weight))
     if is_untrusted(fitted, data):
         rms = 10.0 ** trimmed_mean(errors, weight) ** 0.5
-        texts.append(
+        return [
             f"WARNING: predictions of held-out days are wrong by a factor of {rms:.2f} (rms): do "
             "not trust single maps of this model; likely causes are broken cloud, wrong "
             "irradiance, or a room that changed"
-        )
-    elif share > 0.1:  # chosen
-        texts.append(
-            f"for {share:.0%} of the captures, a prediction from the other days is wrong by a "
-            f"factor of over {TRUSTED_FACTOR:g}: usual under clouds, whose places the irradiance "
-            "does not show, and if only one day has such a sun; else the room, the camera or a "
-            "lamp changed. Hours with similar light are not trusted"
-        )
-    return texts
+        ]
+    if share < 0.1:  # chosen
+        return []
+    return [
+        f"for {share:.0%} of the captures, a prediction from the other days is wrong by a factor "
+        f"of over {TRUSTED_FACTOR:g}: usual under clouds, whose places the irradiance does not "
+        "show, and if only one day has such a sun; else the room, the camera or a lamp changed. "
+        "Hours with similar light are not trusted"
+    ]
 
 
 def is_untrusted(fitted: Fitted, data: Dataset) -> bool:
@@ -504,21 +492,21 @@ def is_untrusted(fitted: Fitted, data: Dataset) -> bool:
     They are too large with a trimmed mean log10 MSE over 0.02 (`POOR_MSE`), or a median over a
     quarter of it. False for a model without held-out errors.
     """
-    errors, weight, _ = _judged_errors(fitted, data)
+    errors, weight = _judged_errors(fitted, data)
     if not len(errors):
         return False
     return bool(np.median(errors) > POOR_MSE / 4 or trimmed_mean(errors, weight) > POOR_MSE)
 
 
-def _judged_errors(fitted: Fitted, data: Dataset) -> tuple[Floats, Floats, Array]:
-    """Return held-out log10 MSE, weight and date of the training captures with weight, [k] each.
+def _judged_errors(fitted: Fitted, data: Dataset) -> tuple[Floats, Floats]:
+    """Return held-out log10 MSE and weight of the training captures with weight, [k] each.
 
     data: the captures with which `fitted` was trained; weight: by `choice_weights`. k is 0 for a
     model without held-out errors.
     """
     if fitted.held_out_mse is None:
-        return np.empty(0), np.empty(0), data.days[:0]
+        return np.empty(0), np.empty(0)
     weight = choice_weights(data)
     judged = weight > 0.0
     errors = np.nan_to_num(fitted.held_out_mse, nan=np.inf)
-    return errors[judged], weight[judged], data.days[judged]
+    return errors[judged], weight[judged]
