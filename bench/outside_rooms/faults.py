@@ -70,7 +70,7 @@ def faults(data: Dataset, day: np.datetime64) -> dict[str, Dataset]:
     of_day, light = data.days == day, data.light
     log = np.where(of_day, LOG_FACTOR, 1.0)
     lit, dark = data.luminance_cdm2.copy(), data.luminance_cdm2.copy()
-    lit[of_day] += np.linspace(*LAMP_CDM2[::-1], lit.shape[1])[:, None]
+    lit[of_day] += np.linspace(LAMP_CDM2[1], LAMP_CDM2[0], lit.shape[1])[:, None]
     dark[of_day] *= BLIND_FACTOR
     other = light_at(list(light.t_utc), data.setup.site, log * light.dni_wm2, log * light.dhi_wm2)
     return {

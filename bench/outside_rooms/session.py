@@ -35,6 +35,7 @@ from fieldlum.optics.profiles import bracket_exposures, load_camera_profile
 from fieldlum.room.simulate import make_session
 from fieldlum.session import Session
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
+from fieldlum.session.folder import PlanTable
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky.daylight import light_at
 from fieldlum.sky.sky_view.view import SkyView
@@ -92,11 +93,10 @@ def make(out: Path, name: str, camera: str) -> Session:
         altitude = float(pair["sun_altitude_deg"])
         slots.append(Slot(t_utc, altitude, azimuth, exposures))
     shutil.rmtree(fine / "session", ignore_errors=True)
-    about = {"set": "9-day", "seconds_per_slot": 60.0, "megabytes_per_slot": 10.0, "revision": 0}
-    about |= {"start": slots[0].t_utc.date(), "first": slots[0].t_utc.date()}
-    session = make_session(
-        fine / "session", setup, slots, {**about, "last": slots[-1].t_utc.date()}
-    )
+    first, last = slots[0].t_utc.date(), slots[-1].t_utc.date()
+    about: PlanTable = {"set": "9-day", "revision": 0, "start": first, "first": first, "last": last}
+    about |= {"seconds_per_slot": 60.0, "megabytes_per_slot": 10.0}
+    session = make_session(fine / "session", setup, slots, about)
     session.truth.mkdir()
     for slot, sun in zip(slots, suns, strict=True):
         picture, _ = read_radiance_hdr(fine / "panoramas" / f"{slot.id}.hdr")
