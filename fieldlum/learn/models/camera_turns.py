@@ -12,13 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import (
-    gaussian_filter,
-    map_coordinates,
-    maximum_filter,
-    median_filter,
-    minimum_filter,
-)
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 from skimage.measure import block_reduce
 
@@ -128,7 +122,7 @@ def _interpolated(maps: Array, places: Array) -> Array:
     Interpolation is linear, and continues from the last column to the first.
     """
     in_wrapped = places + np.array((0.0, 1.0))[:, None, None]  # one column more on the left
-    return map_coordinates(wrapped(maps), in_wrapped, order=1, mode="nearest")
+    return ndimage.map_coordinates(wrapped(maps), in_wrapped, order=1, mode="nearest")
 
 
 def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
@@ -153,7 +147,7 @@ def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequenc
     fraction = places - np.floor(places)
     mixed = (fraction * (1.0 - fraction)).max(axis=0)
     wide = wrapped(maps)
-    contrast = (maximum_filter(wide, 3) - minimum_filter(wide, 3))[:, 1:-1]
+    contrast = (ndimage.maximum_filter(wide, 3) - ndimage.minimum_filter(wide, 3))[:, 1:-1]
     return mixed * _interpolated(contrast, places)
 
 
@@ -169,7 +163,7 @@ def _edges_of(logs: Array, heading_deg: float, angles_deg: Array, smooth_px: flo
     deviation of the Gaussian that smooths the map first.
     """
     logs = turned_back(logs, heading_deg, angles_deg) if angles_deg.any() else logs
-    smooth = gaussian_filter(logs, smooth_px, mode=("nearest", "wrap"), truncate=3.0)  # pyright: ignore[reportArgumentType]
+    smooth = ndimage.gaussian_filter(logs, smooth_px, mode=("nearest", "wrap"), truncate=3.0)  # pyright: ignore[reportArgumentType]
     across = (np.roll(smooth, -1, axis=1) - np.roll(smooth, 1, axis=1)) / 2.0
     return np.stack((np.gradient(smooth, axis=0), across)).astype(np.float32)
 
@@ -311,7 +305,7 @@ def camera_turns(luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float) ->
         angles -= np.median(angles, axis=0)
     pixel_deg = 180.0 / seen_mask.shape[0]
     u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
-    of_nine = median_filter(correlation, 9, mode="mirror")
+    of_nine = ndimage.median_filter(correlation, 9, mode="mirror")
     aligned = (of_nine >= _MIN_OF_NINE) & (elsewhere <= _MIN_ELSEWHERE)
     # The search does not converge to larger turns.
     near = np.abs(angles).max(axis=1) < 10.0 * pixel_deg

@@ -38,8 +38,8 @@ class Misplacement:
     off: by the name of a number (`Parameter.name`), the correction that must be added to the stated
     one, and its standard uncertainty, which includes what a box lacks (deg, min; clock_min above
     0: stated times are later than the true ones); empty if nothing is wrong. gain: share of the
-    misfit, 0 to 1, that this explains, in `hours` sunny hours. note: a sentence on a grossly wrong
-    direction, "" without; with it nothing else was tested.
+    misfit, 0 to 1, that corrections explain, in `hours` sunny hours. note: a sentence on a grossly
+    wrong direction, "" without; with it nothing else was tested.
     """
 
     off: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -85,10 +85,8 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
         by, u = p.measured(guess) - p.measured(state.start), steps * p.step
         if p.name in MIN_OFF and abs(by) > max(MIN_UNCERTAINTIES * u, MIN_OFF[p.name]):
             off[p.name] = (by, MODEL_ERROR * u)
-    gain, hours = 1.0 - final / cost(state.start), len(state.evidence)
-    if off and gain > MIN_GAIN:
-        return Misplacement(off, gain=gain, hours=hours)
-    return Misplacement(hours=hours)
+    gain = 1.0 - final / cost(state.start)
+    return Misplacement(off if gain > MIN_GAIN else {}, gain, len(state.evidence))
 
 
 def _pose_by_discs(data: Dataset) -> PosePrior | None:
