@@ -108,6 +108,9 @@ def load(
     if test is None:
         return BenchData(data, None, specs)
     test_data, _ = apply_scene(load_pairs(test, site), pairs, scene, "absolute")
+    if test_data.shape != data.shape:
+        found, needed = (f"pictures of {w} x {h}" for h, w in (test_data.shape, data.shape))
+        raise InputError(test, found, f"{needed}, as in {pairs}", "merge or scale both alike")
     folders = (spec.folder for spec in specs if spec.folder is not None)
     unused = without_training_hours(replace(test_data, sky_view=data.sky_view), data, *folders)
     return BenchData(data, unused, specs)

@@ -376,11 +376,7 @@ def _pieces(values: Array) -> list[tuple[int, int]]:
 
 
 def align(
-    maps: Floats32,
-    has_value: Mask,
-    counts: Floats16,
-    heading_deg: float,
-    turns: CameraTurns,
+    maps: Floats32, has_value: Mask, counts: Floats16, heading_deg: float, turns: CameraTurns
 ) -> None:
     """Turn maps, masks and weights of captures back to the pose that most captures share, in place.
 

@@ -30,6 +30,10 @@ _NOISES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # relative variances of a capture
 # captures of the demo and of 24 rooms by other programs gain up to 9, and 15 with such a sun; the
 # tests' lamps and blinds gain 15 to 108, lamps in those rooms 33 to 105.
 _MIN_GAIN, _DAY_PRICE, _CAPTURE_PRICE, _SUN_PRICE = 8.0, 2.0, 0.5, 1.5
+# Of a darker and a brighter set, by how much a capture lowers the gain when they are compared. With
+# it, in 22 rooms by other programs, one darker day of nine is found in 52 of 66 cases and another
+# day is blamed in 2; without it 45 and 9.
+_RARITY = 1.5
 _MAX_SHARE = 0.5  # of the captures: a larger set is the usual state, and the rest the exception
 # Hours of local standard time: a lamp is on from an evening hour or until a morning hour, and a
 # blind is moved at one of the others. Chosen.
@@ -245,8 +249,8 @@ def _group_of_other_level(evidence: Evidence) -> Indices:
     """Return the days or parts of days that are brighter or darker than the others by one factor.
 
     The result is indices of captures [k], empty without such a group. Three darker days make the
-    others look brighter: darker and brighter sets are searched separately, and the result is empty
-    if it is unclear which of them are the exception.
+    others look brighter: darker and brighter sets are searched separately. Of two, the exception is
+    the smaller one, unless the other gains much more; the result is empty if that is unclear.
     """
     process, rows = evidence.process, evidence.rows
     days_and_pairs = [group for group in _days_and_pairs(process, rows) if len(group) >= 2]
@@ -269,13 +273,15 @@ def _group_of_other_level(evidence: Evidence) -> Indices:
             return -np.inf
         return gained - _price(process, chosen)
 
-    sets = []
+    sets: list[tuple[float, Indices]] = []
     for darker in (True, False):
         gain_of = partial(gain, darker=darker)
         chosen = _best_set(parts, gain_of, start=_best_set(days_and_pairs, gain_of))
-        sets.append((gain_of(chosen), chosen))
-    (second, _), (best_gain, best) = sorted(sets, key=lambda s: s[0])
-    return best if best_gain > _MIN_GAIN and best_gain - second > 1.0 else _NO_ROWS
+        if (gained := gain_of(chosen)) > _MIN_GAIN:
+            sets.append((gained - _RARITY * len(chosen), chosen))
+    sets.sort(key=lambda some: -some[0])
+    unclear = len(sets) == 2 and sets[0][0] - sets[1][0] < 1.0
+    return sets[0][1] if sets and not unclear else _NO_ROWS
 
 
 def find_unexplained(process: Process) -> Indices:
@@ -336,8 +342,6 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     unexplained = find_unexplained(shaded)
     if len(unexplained):  # changed captures can hide a lamp, and make other captures look lit
         lamp = find_lamp(clouded, np.setdiff1d(judged, unexplained))
-    if len(lamp) <= 2 and is_badly_measured(sample)[lamp].all():  # an unmeasured low sun
-        lamp = _NO_ROWS
     if not len(lamp) and not len(unexplained):
         return None
     # Captures that were not compared are as the nearest one of the compared, in the order of time.

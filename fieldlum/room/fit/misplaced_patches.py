@@ -28,6 +28,11 @@ MIN_UNCERTAINTIES = 3.0  # smallest ratio of a correction to its standard uncert
 # Lengths are not reported: they absorb what the room has and a box lacks, such as a blind.
 MIN_OFF = {"north_deg": 0.5, "wall_azimuth_deg": 0.5, "clock_min": 1.0}
 MIN_GAIN = 0.02  # share of the misfit that wrong numbers must explain; chosen
+_WORDS = {  # what a correction is of, its unit, and what it is if the correction is over or under 0
+    "north_deg": ("heading_deg and wall_azimuth_deg", "degrees", "small", "large"),
+    "wall_azimuth_deg": ("wall_azimuth_deg alone", "degrees", "small", "large"),
+    "clock_min": ("the pictures' times", "minutes", "late", "early"),
+}
 _ANY_CLOCK_MIN = 60.0  # standard uncertainty of a clock that nobody compared; chosen
 
 
@@ -119,13 +124,5 @@ def warnings_of(misplacement: Misplacement | None) -> list[str]:
 
 def _cause(name: str, by: float, u: float) -> str:
     """Return a clause on the correction of a parameter and its uncertainty, deg or min."""
-    if name == "clock_min":
-        return (
-            f"the pictures' clock were {abs(by):.0f} +- {u:.0f} min {'fast' if by > 0 else 'slow'}"
-        )
-    of = (
-        "wall_azimuth_deg alone"
-        if name == "wall_azimuth_deg"
-        else "heading_deg and wall_azimuth_deg"
-    )
-    return f"{of} were {abs(by):.1f} +- {u:.1f} degrees too {'small' if by > 0 else 'large'}"
+    what, unit, above, below = _WORDS[name]
+    return f"{what} were {abs(by):.1f} +- {u:.1f} {unit} too {above if by > 0 else below}"
