@@ -51,6 +51,18 @@ def test_the_command_writes_table_charts_and_curve(tmp_path: Path) -> None:
     assert bad.exit_code == 3 and "'magic'" in bad.stderr
 
 
+@pytest.mark.contract
+def test_test_pictures_of_another_size_are_refused_in_one_line(tmp_path: Path) -> None:
+    small = dataset(DAYS[:2], height=8).take(range(6))
+    for name, data in (("train", small), ("test", dataset(DAYS[3:4], height=6).take(range(3)))):
+        (tmp_path / name).mkdir()
+        write_pairs(tmp_path / name, data)
+    asked = ["bench", str(tmp_path / "train/pairs.csv"), "--test", str(tmp_path / "test/pairs.csv")]
+    ran = CliRunner().invoke(main, [*asked, "--models", "mean", "--out", str(tmp_path / "out")])
+    assert ran.exit_code == 3 and ran.stderr.splitlines()[-1].count("pixels") == 2, ran.output
+    assert "12 x 6 pixels" in ran.stderr and "16 x 8 pixels" in ran.stderr
+
+
 @pytest.mark.slow
 @pytest.mark.contract
 def test_one_usable_hour_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -1,14 +1,17 @@
 """Unmarked changes of the room are found, named, and cost little; clean rooms raise no alarm."""
 
 import re
+import tomllib
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from learning_room import SEATTLE, dataset, room
 from test_transport import log_mse
 
+from fieldlum.bench.score_rows import load
 from fieldlum.learn.models.held_out_choice import is_badly_measured
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train.outliers import (
@@ -21,6 +24,7 @@ from fieldlum.learn.train.outliers import (
 from fieldlum.learn.transport import fit
 from fieldlum.sky.daylight import light_at
 
+OUTSIDE = Path(__file__).parents[1] / "bench" / "outside_rooms"
 DAYS = tuple(f"2027-{month}-{day}" for month in ("03", "06", "12") for day in (19, 20, 21))
 CLEAN = dataset(DAYS, height=12)
 TEST = dataset(("2027-04-15", "2027-05-10", "2027-11-03"), seed=5, height=12)
@@ -257,3 +261,22 @@ def test_a_capture_in_faint_light_contradicts_nothing() -> None:
     maps = CLEAN.luminance_cdm2.copy()
     maps[int(np.argmax(level))] *= 1.35  # as a cloud, or a class of Perez's skies
     assert not without_changes(replace(CLEAN, luminance_cdm2=maps), with_patch=True)[1]
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+def test_a_darker_day_in_a_room_by_mitsuba(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Balcony: with a blind on 20 June, 50 captures of five other days seemed too bright."""
+    monkeypatch.syspath_prepend(OUTSIDE)
+    from make_case import write_case
+
+    file = OUTSIDE / "fresh" / "balcony.toml"
+    write_case(tomllib.loads(file.read_text()), file.with_suffix(".npz"), tmp_path)
+    site = tmp_path / "tape" / "site.toml"
+    data = load(tmp_path / "tape" / "9d.csv", ["mean"], site=site, scene="none").data
+    assert without_changes(data, with_patch=True)[1] == []
+    dark = data.days == np.datetime64("2027-06-20")
+    maps = np.where(dark[:, None, None], 0.45, 1.0).astype(np.float32) * data.luminance_cdm2
+    kept, warnings = without_changes(replace(data, luminance_cdm2=maps), with_patch=True)
+    assert np.array_equal(np.isin(data.slots, kept.slots), ~dark)
+    assert len(warnings) == 1 and "2027-06-20" in warnings[0]

@@ -100,7 +100,8 @@ def load(
     held-out days. site: SITE.toml, None for that of the pairs. models: names, or folders of trained
     models. scene: "" for scene/ next to the pairs, "none", or the folder of a scene. sky_view: a
     sky_view.exr, None for that of the pairs. Test hours that a model was trained on are omitted.
-    Raises InputError for files that cannot be used, NotEnoughDataError if no test hour is left.
+    Raises InputError for files that cannot be used and for test pictures of another size or
+    heading, NotEnoughDataError if no test hour is left.
     """
     specs = parse_specs(models)
     data = with_sky_view(load_pairs(pairs, site), sky_view)
@@ -108,9 +109,10 @@ def load(
     if test is None:
         return BenchData(data, None, specs)
     test_data, _ = apply_scene(load_pairs(test, site), pairs, scene, "absolute")
-    if test_data.shape != data.shape:
-        found, needed = (f"pictures of {w} x {h}" for h, w in (test_data.shape, data.shape))
-        raise InputError(test, found, f"{needed}, as in {pairs}", "merge or scale both alike")
+    kinds = [(some.shape, round(some.heading_deg, 2)) for some in (test_data, data)]
+    if kinds[0] != kinds[1]:
+        found, needed = (f"{w} x {h} pixels, heading {deg:g}" for (h, w), deg in kinds)
+        raise InputError(test, found, f"{needed}, as in {pairs}", "merge or render both alike")
     folders = (spec.folder for spec in specs if spec.folder is not None)
     unused = without_training_hours(replace(test_data, sky_view=data.sky_view), data, *folders)
     return BenchData(data, unused, specs)

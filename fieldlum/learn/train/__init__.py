@@ -493,9 +493,8 @@ def is_untrusted(fitted: Fitted, data: Dataset) -> bool:
     quarter of it. False for a model without held-out errors.
     """
     errors, weight = _judged_errors(fitted, data)
-    if not len(errors):
-        return False
-    return bool(np.median(errors) > POOR_MSE / 4 or trimmed_mean(errors, weight) > POOR_MSE)
+    median = np.median(errors) if len(errors) else 0.0
+    return bool(median > POOR_MSE / 4 or trimmed_mean(errors, weight) > POOR_MSE)
 
 
 def _judged_errors(fitted: Fitted, data: Dataset) -> tuple[Floats, Floats]:
