@@ -75,7 +75,7 @@ COLUMNS = {
 # Words of the notes of `train` that name a trouble. No note names the other troubles.
 NAMED_BY = {
     "clouds": "the sky in the windows was",
-    "north": "heading_deg and wall_azimuth_deg were",
+    "north": "heading_deg and wall_azimuth_deg",
     "knock": "camera was turned",
     "lamps": "a lamp was on, but not marked",
     "blind": "a moved blind",

@@ -32,7 +32,7 @@ from fieldlum.learn.train.outliers import without_changes
 from fieldlum.room.fit.misplaced_patches import misplacement_of, warnings_of
 from fieldlum.sky.daylight import light_at
 
-TURNS_PX = (0.6, 3.0, 12.0, 29.0, 58.0)  # for maps of 58 rows
+TURNS_PX = (3.0, 12.0, 29.0, 58.0)  # for maps of 58 rows
 LAMP_CDM2 = (200.0, 30.0)  # added to the lowest and highest row of pixels
 LOG_FACTOR, BLIND_FACTOR = 0.6, 0.45
 
