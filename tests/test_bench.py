@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from json_answers import KEPT, keys_of
 from learning_room import dataset, write_pairs
 
 from fieldlum.bench import markdown, pareto, stress
-from fieldlum.bench.score_rows import parse_specs, without_training_hours
+from fieldlum.bench.score_rows import load, parse_specs, without_training_hours
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.learn import models
@@ -61,6 +62,20 @@ def test_test_pictures_of_another_size_are_refused_in_one_line(tmp_path: Path) -
     ran = CliRunner().invoke(main, [*asked, "--models", "mean", "--out", str(tmp_path / "out")])
     assert ran.exit_code == 3 and ran.stderr.splitlines()[-1].count("pixels") == 2, ran.output
     assert "12 x 6 pixels" in ran.stderr and "16 x 8 pixels" in ran.stderr
+
+
+@pytest.mark.contract
+def test_only_pixels_that_were_learnt_are_judged(tmp_path: Path) -> None:
+    """A single fisheye sees half of the sphere; test pictures may be of all of it."""
+    small = dataset(DAYS[:2], height=8).take(range(6))
+    maps = small.luminance_cdm2.copy()
+    maps[:, :, :5] = np.nan
+    for name, data in (("train", replace(small, luminance_cdm2=maps)), ("test", TEST.take([0]))):
+        (tmp_path / name).mkdir()
+        write_pairs(tmp_path / name, data)
+    read = load(tmp_path / "train/pairs.csv", ["mean"], test=tmp_path / "test/pairs.csv")
+    assert read.test is not None and not read.test.seen[:, :5].any()
+    assert read.test.seen[:, 5:].all()
 
 
 @pytest.mark.slow

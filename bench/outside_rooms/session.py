@@ -43,7 +43,12 @@ from fieldlum.sky.sky_view.visible_disc import disc_of_hours, drawn_shares
 
 Array = NDArray[Any]
 Row = dict[str, str]
-STAGES = (["merge", "--size", "116x58"], ["pair"], ["scene", "fit"], ["train", "--budget", "0"])
+STAGES = (
+    ["merge", "--size", "116x58"],
+    ["pair"],
+    ["scene", "fit"],
+    ["train", "--model", "transport"],
+)
 _HALF_HOUR = timedelta(minutes=30)  # weather is of an hour around its time
 
 

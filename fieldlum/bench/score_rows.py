@@ -114,7 +114,8 @@ def load(
         found, needed = (f"{w} x {h} pixels, heading {deg:g}" for (h, w), deg in kinds)
         raise InputError(test, found, f"{needed}, as in {pairs}", "merge or render both alike")
     folders = (spec.folder for spec in specs if spec.folder is not None)
-    unused = without_training_hours(replace(test_data, sky_view=data.sky_view), data, *folders)
+    both_seen = replace(test_data, sky_view=data.sky_view, seen=test_data.seen & data.seen)
+    unused = without_training_hours(both_seen, data, *folders)
     return BenchData(data, unused, specs)
 
 

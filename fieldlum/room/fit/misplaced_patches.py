@@ -113,12 +113,11 @@ def warnings_of(misplacement: Misplacement | None) -> list[str]:
         return []
     if misplacement.note:
         return [f"WARNING: {misplacement.note}"]
-    causes = [_cause(name, *value) for name, value in misplacement.off.items()]
     return [
         f"WARNING: captured sun patches are displaced from the computed ones ({misplacement.hours} "
-        f"hours), as if {listed(causes)}. This explains {misplacement.gain:.0%} of the misfit; a "
-        "wrong north, clock, window or camera place look alike. Check them before you change one; "
-        "then run fieldlum scene fit"
+        f"hours), as if {listed([_cause(n, *v) for n, v in misplacement.off.items()])}. This "
+        f"explains {misplacement.gain:.0%} of the misfit; a wrong north, clock, window or camera "
+        "place look alike. Check them before you change one; then run fieldlum scene fit"
     ]
 
 
