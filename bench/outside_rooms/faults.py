@@ -48,20 +48,25 @@ def turned(data: Dataset, rows: NDArray[np.intp], turn_px: float) -> Floats32:
 
 def camera(data: Dataset) -> str:
     """Return what is found of a still and of a turned camera."""
-    maps, seen, heading = data.luminance_cdm2, data.seen, data.heading_deg
-    still = camera_turns(maps, seen, heading)
+    light, seen, heading = data.light, data.seen, data.heading_deg
+    low = np.where(light.direct_lx > 1000.0, light.sun_altitude_deg, np.nan)
+    still = camera_turns(data.luminance_cdm2, seen, heading, low)
     last = np.arange(2 * len(data) // 3, len(data))
     texts = [f"still: {(~still.aligned).sum()} left out, {still.turned.sum()} turned back"]
     for turn_px in TURNS_PX:
-        found = camera_turns(turned(data, last, turn_px), seen, heading)
+        found = camera_turns(turned(data, last, turn_px), seen, heading, low)
         out, back = (~found.aligned)[last].sum(), found.turned[last].sum()
         texts.append(f"{turn_px:g} px: {back} back, {out} out of {len(last)}")
     some = np.arange(4, len(data), 9)
-    found = camera_turns(turned(data, some, 20.0), seen, heading)
+    found = camera_turns(turned(data, some, 20.0), seen, heading, low)
     left = ~found.aligned
     texts.append(
         f"single 20 px: {left[some].sum()} of {len(some)}, others {left.sum() - left[some].sum()}"
     )
+    capped = data.luminance_cdm2.copy()
+    capped[some] = 0.0
+    found = camera_turns(capped, seen, heading, low)
+    texts.append(f"lens cap: {(~found.aligned)[some].sum()} of {len(some)}")
     return "; ".join(texts)
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from draws import drawn
@@ -30,8 +31,8 @@ def series(case: Path, name: str) -> Dataset:
     shown: list[camera_turns.CameraTurns] = []
     found = camera_turns.camera_turns
 
-    def keep(maps: Floats32, seen: np.ndarray, heading_deg: float) -> camera_turns.CameraTurns:
-        shown.append(found(maps, seen, heading_deg))
+    def keep(*given: Any) -> camera_turns.CameraTurns:
+        shown.append(found(*given))
         return shown[-1]
 
     training_data.camera_turns = keep

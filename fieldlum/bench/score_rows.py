@@ -115,8 +115,7 @@ def load(
         raise InputError(test, found, f"{needed}, as in {pairs}", "merge or render both alike")
     folders = (spec.folder for spec in specs if spec.folder is not None)
     both_seen = replace(test_data, sky_view=data.sky_view, seen=test_data.seen & data.seen)
-    unused = without_training_hours(both_seen, data, *folders)
-    return BenchData(data, unused, specs)
+    return BenchData(data, without_training_hours(both_seen, data, *folders), specs)
 
 
 def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dataset:

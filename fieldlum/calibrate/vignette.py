@@ -85,8 +85,7 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
     fit_steps.refuse_beyond_lens(away_deg.max(), shown, path)
     r = away_deg / (shown.full_angle_deg / 2)
     f_numbers = {Path(f"reading {k}"): row["f_number"] for k, row in enumerate(rows, 1)}
-    f_number = _one_aperture(path, f_numbers)
-    return Samples(r, value / reference, u_rel, f_number, lens, (path,))
+    return Samples(r, value / reference, u_rel, _one_aperture(path, f_numbers), lens, (path,))
 
 
 def _from_patches(path: Path, profile: CameraProfile) -> Samples:

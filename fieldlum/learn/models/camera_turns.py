@@ -48,11 +48,14 @@ TURN_PX = np.array((0.25, 0.25, 0.4))
 # must differ by 3.1 units to count as a separate pose, twelve captures by 0.9 units. Chosen.
 MOVE_COST = 4.8
 # Least correlation of the edges of a turned-back capture with the room's edges, in the median part
-# of the picture. A low sun deep in the room has other edges: a capture with less gets the pose of
-# its neighbours. Nine consecutive captures with a lower median than the second are of a moved
-# camera: in 22 rooms of other renderers clean ones have 0.58 or more, and 0.15 to 0.67 after a turn
-# of 37 degrees.
-MIN_CORRELATION, _MIN_OF_NINE = 0.35, 0.5
+# of the picture; with a low sun, whose patches have other edges, a capture with less can still be
+# used. Of nine consecutive captures with a lower median than the second, those under the third are
+# of a moved camera: in 22 rooms of other renderers clean medians are 0.58 or more, and 0.15 to 0.67
+# after a turn of 37 degrees, when no capture has more than 0.71.
+MIN_CORRELATION, _MIN_OF_NINE, _CERTAIN = 0.35, 0.5, 0.75
+# A sun below this is low [deg]: clean captures with less than the first correlation have 3.6 to
+# 11.3 in those rooms.
+_LOW_SUN_DEG = 20.0
 # A capture is turned too far if its edges, turned by over 3 pixels more, agree better with the
 # room's, by this correlation: in those rooms clean captures have at most 0.05, and of 250 single
 # captures turned by 37 to 180 degrees three have less than this.
@@ -67,7 +70,7 @@ class CameraTurns:
     the camera was not turned or cannot be aligned; u_deg: standard uncertainties of the turns [n,
     3]; aligned: True if the capture can be used: its picture, turned back by under 10 pixels (of
     maps with over 459 rows, of their averages over blocks), has its edges where the room's edges
-    are, or the captures before and after it have, which a low sun explains [n].
+    are; with a low sun, also if the captures before and after it have one pose [n].
     """
 
     angles_deg: Array
@@ -98,8 +101,7 @@ def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[fl
     right = (np.cos(heading), -np.sin(heading), 0.0)
     forward = (np.sin(heading), np.cos(heading), 0.0)
     axes = np.array(((0.0, 0.0, -1.0), right, forward))
-    vector = -np.radians(angles_deg) @ axes
-    return rays @ Rotation.from_rotvec(vector).as_matrix().T
+    return rays @ Rotation.from_rotvec(-np.radians(angles_deg) @ axes).as_matrix().T
 
 
 def _places(
@@ -271,12 +273,15 @@ def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
     return np.stack(small), block_reduce(seen_mask, step, np.all)
 
 
-def camera_turns(luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float) -> CameraTurns:
+def camera_turns(
+    luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float, sun_deg: Floats | float = np.nan
+) -> CameraTurns:
     """Return how the camera of each capture was turned relative to most captures.
 
     luminance_cdm2: n panoramas in the order of time, without NaN [n, H, W]; seen_mask: True for
-    pixels with a value [H, W]; heading_deg: azimuth of the centre column, clockwise from north.
-    Consecutive captures of one pose get their median turn; a turn too small to be certain is zero.
+    pixels with a value [H, W]; heading_deg: azimuth of the centre column, clockwise from north;
+    sun_deg: the sun's altitude in captures with direct sun, NaN in others [n]. Consecutive captures
+    of one pose get their median turn; a turn too small to be certain is zero.
     With fewer than 5 captures or 40 rows of pixels, or if nothing was seen, all turns are zero and
     all captures count as aligned. Computing time is proportional to the number of captures.
     """
@@ -306,29 +311,31 @@ def camera_turns(luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float) ->
     pixel_deg = 180.0 / seen_mask.shape[0]
     u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
     of_nine = ndimage.median_filter(correlation, 9, mode="mirror")
-    aligned = (of_nine >= _MIN_OF_NINE) & (elsewhere <= _MIN_ELSEWHERE)
+    moved = (of_nine < _MIN_OF_NINE) & (correlation < _CERTAIN) | (elsewhere > _MIN_ELSEWHERE)
     # The search does not converge to larger turns.
     near = np.abs(angles).max(axis=1) < 10.0 * pixel_deg
-    found = aligned & near & (correlation >= MIN_CORRELATION)
-    return CameraTurns(_poses(angles, found, aligned, pixel_deg), u_deg, aligned)
+    found = near & ~moved & (correlation >= MIN_CORRELATION)
+    unclear = ~found & ~moved & (np.asarray(sun_deg) < _LOW_SUN_DEG)
+    poses, aligned = _poses(angles, found, unclear, pixel_deg)
+    return CameraTurns(poses, u_deg, aligned)
 
 
 # ----------------------------------------------------------------------------------------------
 # poses
 
 
-def _poses(angles: Array, found: Mask, aligned: Mask, pixel_deg: float) -> Array:
-    """Return one turn for all captures of a pose, [n, 3] deg; zero for an uncertain one.
+def _poses(angles: Array, found: Mask, unclear: Mask, pixel_deg: float) -> tuple[Array, Mask]:
+    """Return one turn for all captures of a pose, [n, 3] deg, and the captures that have one [n].
 
-    angles: the estimated turn of each capture in the order of time [n, 3] deg; found: whether it is
-    reliable [n]; aligned: other captures that have the pose of the nearest reliable one [n];
-    pixel_deg: size of a pixel. A camera does not turn until it is moved, so that consecutive
-    captures have one pose.
+    The turn is zero if it is uncertain. angles: the estimated turn of each capture in the order of
+    time [n, 3] deg; found: whether it is reliable [n]; unclear: captures that have the pose of the
+    reliable ones before and after them, if these agree [n]; pixel_deg: size of a pixel. A camera
+    does not turn until it is moved, so that consecutive captures have one pose.
     """
     out = np.zeros_like(angles)
     rows = np.flatnonzero(found)
     if not len(rows):
-        return out
+        return out, found
     unit = TURN_PX * pixel_deg
     pieces = _pieces(angles[rows] / unit)
     counts = [stop - start for start, stop in pieces]
@@ -341,8 +348,10 @@ def _poses(angles: Array, found: Mask, aligned: Mask, pixel_deg: float) -> Array
         minimum = np.sqrt(2.0 * MOVE_COST) if count < 5 else 1.0 + 1.0 / np.sqrt(count)
         if size.max() >= minimum:
             out[rows[start:stop]] = np.where(size < 1.0, 0.0, pose)
-    nearest = rows[np.abs(np.arange(len(out))[:, None] - rows).argmin(axis=1)]
-    return np.where(aligned[:, None], out[nearest], 0.0)
+    earlier = np.searchsorted(rows, np.arange(len(out)))  # number of reliable captures
+    before, after = (out[rows[np.clip(earlier - k, 0, len(rows) - 1)]] for k in (1, 0))
+    same = unclear & (before == after).all(axis=1)
+    return np.where(same[:, None], after, out), found | same
 
 
 def _pieces(values: Array) -> list[tuple[int, int]]:

@@ -327,7 +327,8 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
     )
     data, has_value = read_pictures(path, rows, setup, light)
     heading, days = data.heading_deg, data.days
-    turns = camera_turns(np.nan_to_num(data.luminance_cdm2), data.seen, heading)
+    sun_deg = np.where(light.direct_lx > 1000.0, altitude, np.nan)  # 10 W/m2 of DNI
+    turns = camera_turns(np.nan_to_num(data.luminance_cdm2), data.seen, heading, sun_deg)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
         at = (float(light.apparent_altitude_deg[k]), float(azimuth[k]))
         take_disc_out(data, k, at, shown_place(*at, heading, turns.angles_deg[k]))

@@ -507,5 +507,4 @@ def _judged_errors(fitted: Fitted, data: Dataset) -> tuple[Floats, Floats]:
         return np.empty(0), np.empty(0)
     weight = choice_weights(data)
     judged = weight > 0.0
-    errors = np.nan_to_num(fitted.held_out_mse, nan=np.inf)
-    return errors[judged], weight[judged]
+    return np.nan_to_num(fitted.held_out_mse, nan=np.inf)[judged], weight[judged]

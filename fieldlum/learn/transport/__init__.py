@@ -295,8 +295,7 @@ def from_state(state: ModelState) -> Transport | MeanTransport:
     checked.
     """
     table = state.config["transport"]
-    kind = MeanTransport if "fitted" in table else Transport
-    return deserialised(kind, table, state.arrays)
+    return deserialised(MeanTransport if "fitted" in table else Transport, table, state.arrays)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -107,8 +107,7 @@ class CameraPose:
         the uncertainties: a pose by discs hardly changes, another one takes the corrected heading.
         """
         rest_deg, axis_deg = self.heading_deg - north_deg, (self.axis_deg + north_deg) % 360.0
-        restated = replace(self, heading_deg=rest_deg, axis_deg=axis_deg)
-        return restated._updated(-rest_deg, u_deg)
+        return replace(self, heading_deg=rest_deg, axis_deg=axis_deg)._updated(-rest_deg, u_deg)
 
     def at_clock(self, late_min: float, latitude_deg: float) -> CameraPose:
         """Return the pose by which its discs agree if their times were `late_min` minutes too late.

@@ -140,8 +140,7 @@ def panorama_views(
         hemisphere[:4, i] = weights.sum(axis=1)
         hemisphere[4, i] = (facing_sr / position_index(right, up) ** 2).sum()
         pixels[:, :, i] = (weights * is_seen).T
-    ahead = pixels[:, 1] > 0.0
-    return Views(azimuths, frames, pixels[:, 0], pixels[:, 1:], ahead, hemisphere)
+    return Views(azimuths, frames, pixels[:, 0], pixels[:, 1:], pixels[:, 1] > 0.0, hemisphere)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -198,5 +198,4 @@ def year_errors(shape: tuple[int, ...], rng: Generator) -> Floats:
     one error of a direction in all hours; the rest is one error of an hour in all directions.
     """
     common = rng.standard_normal((1, shape[1])) * np.sqrt(COMMON_ERROR)
-    own = rng.standard_normal((shape[0], 1)) * np.sqrt(1.0 - COMMON_ERROR)
-    return common + own
+    return common + rng.standard_normal((shape[0], 1)) * np.sqrt(1.0 - COMMON_ERROR)
