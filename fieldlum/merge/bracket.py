@@ -170,7 +170,7 @@ def _exposure_notes(report: MergeReport) -> Iterator[str]:
         yield f"{found}: {cause}, or the response needs calibration"
     for text in report.deviations:
         cause = "the light changed during the bracket, or shutter times need calibration"
-        remedy = "fieldlum calibrate shutter"
+        remedy = "of a raw camera: fieldlum calibrate shutter"
         yield f"fitted exposures differ from the profile by {text} %: {cause} ({remedy})"
 
 

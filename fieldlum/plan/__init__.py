@@ -311,7 +311,7 @@ def plan_warnings(
         yield f"{found}: days and hours of the plan are those of UTC, not of the site"
     if days[0] < request.today:
         found = f"the plan starts on {days[0]}, which is in the past"
-        yield f"{found}: slots in the past count as missed"
+        yield f"{found}: capture will skip past slots as missed; a card of then can be imported"
 
 
 def summary(session: Session, plan: Plan) -> JsonTable:
