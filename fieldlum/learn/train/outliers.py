@@ -25,11 +25,11 @@ from fieldlum.sky.light_similarity import LAMP_LX, Kernel
 MIN_DAYS = 4  # with fewer days it is unclear which day is the exception
 _HEIGHT, _PIXELS = 20, 200  # rows of the maps that are compared, and number of drawn pixels
 _NOISES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # relative variances of a capture
-# Least gain in log likelihood of a change, above a price for each day and capture in it, and for
-# each sunny capture of a lamp: a low sun deep in a room looks like one. Without the last, clean
-# captures of the demo and of 24 rooms by other programs gain up to 9, and 15 with such a sun; the
-# tests' lamps and blinds gain 15 to 108, lamps in those rooms 33 to 105.
-_MIN_GAIN, _DAY_PRICE, _CAPTURE_PRICE, _SUN_PRICE = 8.0, 2.0, 0.5, 1.5
+# Least gain in log likelihood of a change, above a price for each day and capture in it. Clean
+# captures of the demo and of 24 rooms by other programs gain up to 9, and 15 as a lamp in captures
+# of a low sun only, which a lamp must gain twice; the tests' lamps and blinds gain 15 to 108, lamps
+# in those rooms 33 to 105.
+_MIN_GAIN, _DAY_PRICE, _CAPTURE_PRICE = 8.0, 2.0, 0.5
 # Of a darker and a brighter set, by how much a capture lowers the gain when they are compared. With
 # it, in 22 rooms by other programs, one darker day of nine is found in 52 of 66 cases and another
 # day is blamed in 2; without it 45 and 9.
@@ -50,7 +50,7 @@ class Process:
     variance; judged [n]: True for captures that can be compared, with enough light and, without
     computed sun patches, hardly any sun; days [n]: dates; hours [n]: local standard time [h]; lamp
     [n]: 1 000 lx over the total light outside, to which the light of a lamp in `y` is proportional;
-    sunny [n]: True with a beam.
+    low_sun [n]: True with a beam from below 20 degrees.
     """
 
     y: Array
@@ -60,7 +60,7 @@ class Process:
     days: Array
     hours: Floats
     lamp: Floats
-    sunny: Mask
+    low_sun: Mask
 
 
 def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> Process:
@@ -96,8 +96,8 @@ def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> 
         y = np.where(valid, y, predicted)
     times = [sun.standard_time(t, data.setup.site.timezone) for t in data.light.t_utc]
     hours = np.array([t.hour + t.minute / 60.0 for t in times])
-    sunny = arrays.features.beam > 0.05
-    return Process(y, covariance, spread, judged, small.days, hours, lamp, sunny)
+    low_sun = (arrays.features.beam > 0.05) & (data.light.sun_altitude_deg < 20.0)
+    return Process(y, covariance, spread, judged, small.days, hours, lamp, low_sun)
 
 
 def _compared(
@@ -238,7 +238,7 @@ def find_lamp(process: Process, rows: Indices) -> Indices:
     hours = process.hours[rows]
     blocks = [rows[hours >= h] for h in _EVENINGS_H] + [rows[hours < h] for h in _MORNINGS_H]
     best = max((_best_set(_days_and_pairs(process, b), gain) for b in blocks), key=gain)
-    if gain(best) <= _MIN_GAIN + _SUN_PRICE * process.sunny[best].sum():
+    if gain(best) <= _MIN_GAIN * (1 + process.low_sun[best].all()):
         return _NO_ROWS
     best = _best_set(rows[:, None], gain, best)
     # Computed sun patches that are slightly wrong look like a lamp in one or two captures.
