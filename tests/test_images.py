@@ -120,6 +120,7 @@ def test_run_length_pictures_are_read(tmp_path: Path) -> None:
 @example(124, 249, False)  # an exponent that overflows single precision
 @example(392, 1, False)  # the type of the attribute sun is no "string" any more
 @example(210, 128, False)  # the value of an attribute is no text any more
+@example(507, 128, False)  # nor is that of the view
 def test_a_damaged_picture_gives_a_picture_or_one_line(
     tmp_path: Path, at: int, value: int, cut: bool
 ) -> None:

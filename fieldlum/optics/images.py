@@ -493,6 +493,8 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
             for key, value in header.items()
             if str(key).startswith("fieldlum:")
         }
+        # OpenEXR itself names the view of a stereo picture in this attribute, such as "left".
+        view = str(header.get("view", ""))
         heading = float(header.get("heading_deg", 180.0))
         t_utc = parse_utc(header["t_utc"]) if header.get("t_utc") else None
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
@@ -504,8 +506,6 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
             raise ValueError("an attribute with a number that is not finite")
     if note := "; ".join(filter(None, (unit_note, layer_note))):
         attributes["note"] = note
-    # OpenEXR itself names the view of a stereo picture in this attribute, such as "left".
-    view = str(header.get("view", ""))
     has_view = view.startswith(("equirect", "-v", "VIEW=", "rvu "))
     return panorama, view if has_view else ""
 
