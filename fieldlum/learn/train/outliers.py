@@ -246,10 +246,11 @@ def find_lamp(process: Process, rows: Indices) -> Indices:
     return best if len(best) > 2 else _NO_ROWS
 
 
-def _group_of_other_level(evidence: Evidence) -> Indices:
+def _group_of_other_level(evidence: Evidence) -> tuple[Indices, Indices]:
     """Return the days or parts of days that are brighter or darker than the others by one factor.
 
-    The result is indices of captures [k], empty without such a group. Darker days make the others
+    The results are indices of captures: of the group, empty without one, and of a day if it is
+    unclear whether that is brighter or others are darker, else empty. Darker days make the others
     of their season look brighter. Therefore darker and brighter sets are searched separately; a
     brighter one is of one day, and compared with darkness of the season's other days.
     """
@@ -283,24 +284,27 @@ def _group_of_other_level(evidence: Evidence) -> Indices:
 
     dark, bright = best(darker=True), best(darker=False)
     if not len(bright):
-        return dark
+        return dark, _NO_ROWS
     season = seasons(days)
     others = np.setdiff1d(rows[season == season[rows == bright[0]]], bright)
     lead = gain(bright, darker=False) - max(gain(dark, darker=True), gain(others, darker=True))
-    return bright if lead > _BRIGHTER else _NO_ROWS if lead > _UNCLEAR else dark
+    if _UNCLEAR < lead <= _BRIGHTER:
+        return _NO_ROWS, bright
+    return (bright if lead > _BRIGHTER else dark), _NO_ROWS
 
 
-def find_unexplained(process: Process) -> Indices:
+def find_unexplained(process: Process) -> tuple[Indices, Indices]:
     """Return the indices [k] of captures whose light contradicts the others; empty if none.
 
     These are days, parts of days and single captures that are brighter or darker than the others.
     Contradicting captures are removed one after the other, at most half of all, as long as four
-    days remain.
+    days remain. The second result is the captures of a doubtful day (`RoomChanges`).
     """
+    doubtful = _NO_ROWS
     judged = rows = np.flatnonzero(process.judged)
     while len(np.unique(process.days[rows])) >= MIN_DAYS:
         evidence = Evidence(process, rows)
-        group = _group_of_other_level(evidence)
+        group, doubtful = _group_of_other_level(evidence)
         if not len(group):
             gains = [evidence.level_change(single)[0] for single in rows[:, None]]
             if max(gains) > _MIN_GAIN + _price(process, rows[:1]):
@@ -309,7 +313,7 @@ def find_unexplained(process: Process) -> Indices:
         if not len(group) or len(rest) < (1.0 - _MAX_SHARE) * len(judged):
             break
         rows = rest
-    return np.setdiff1d(judged, rows)
+    return np.setdiff1d(judged, rows), doubtful
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,12 +322,14 @@ class RoomChanges:
 
     lamp: indices of captures in which a lamp was on; unexplained: indices of k captures that
     contradict the others for another reason; factor: measured light of each of these k over that
-    predicted from the other captures, median over the picture [k].
+    predicted from the other captures, median over the picture [k]; doubtful: indices of captures of
+    a day that is brighter than the others of its season, unless these are darker.
     """
 
     lamp: Indices
     unexplained: Indices
     factor: Floats
+    doubtful: Indices
 
 
 def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
@@ -345,10 +351,10 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     lamp = find_lamp(clouded, judged)
     lit = np.isin(np.arange(len(compared)), lamp) * process.lamp
     shaded = replace(process, covariance=process.covariance + 100.0 * np.outer(lit, lit))
-    unexplained = find_unexplained(shaded)
+    unexplained, doubtful = find_unexplained(shaded)
     if len(unexplained):  # changed captures can hide a lamp, and make other captures look lit
         lamp = find_lamp(clouded, np.setdiff1d(judged, unexplained))
-    if not len(lamp) and not len(unexplained):
+    if not len(lamp) + len(unexplained) + len(doubtful):
         return None
     # Captures that were not compared are as the nearest one of the compared, in the order of time.
     nearest = np.abs(np.arange(len(data))[:, None] - compared).argmin(axis=1)
@@ -356,8 +362,8 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     factors = np.ones(len(compared))
     for k in unexplained:
         factors[k] = Evidence(shaded, np.append(rest, k)).level_change(np.array([k]))[1]
-    lamp, unexplained = (np.flatnonzero(np.isin(nearest, r)) for r in (lamp, unexplained))
-    return RoomChanges(lamp, unexplained, factors[nearest[unexplained]])
+    every = [np.flatnonzero(np.isin(nearest, r)) for r in (lamp, unexplained, doubtful)]
+    return RoomChanges(every[0], every[1], factors[nearest[every[1]]], every[2])
 
 
 def step_warnings(data: Dataset) -> list[str]:
@@ -409,6 +415,12 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
     if not full.all():
         subject = f"{(~full).sum()} of {len(data)} captures"
         warnings.append(_contradiction(data, rows[~full], factor[~full], subject))
+    if len(changes.doubtful):
+        warnings.append(
+            f"WARNING: {data.days[changes.doubtful[0]]} is brighter than the other days of its "
+            "season, or these are darker; it is unclear which changed, and all are used: look at "
+            "the pictures, and leave out or mark the captures of a moved blind or wrong irradiance"
+        )
     changed = np.union1d(changes.lamp, rows)
     data = data.take(np.setdiff1d(np.arange(len(data)), changed))
     return data, [*warnings, *step_warnings(data)]
