@@ -287,7 +287,8 @@ def _group_of_other_level(evidence: Evidence) -> tuple[Indices, Indices]:
         return dark, _NO_ROWS
     season = seasons(days)
     others = np.setdiff1d(rows[season == season[rows == bright[0]]], bright)
-    lead = gain(bright, darker=False) - max(gain(dark, darker=True), gain(others, darker=True))
+    rivals = [gain(some, darker=True) for some in (dark, others) if len(some)]
+    lead = gain(bright, darker=False) - max(rivals, default=-np.inf)
     if _UNCLEAR < lead <= _BRIGHTER:
         return _NO_ROWS, bright
     return (bright if lead > _BRIGHTER else dark), _NO_ROWS
