@@ -3,7 +3,8 @@
     python bench/outside_rooms/faults.py OUT ROOM.toml [ROOM.toml ...]
 
 ROOM.toml as for `judge.py`; its nine days are captures by the tape-measure site. A line a room and
-fault, then the totals: found of changed captures, rooms where at least 70 % of them are found, and
+fault, then the totals: found of changed captures, rooms where at least 70 % of them are found,
+rooms where `train` says that a day or the others of its season changed and leaves none out, and
 other captures that are left out. Faults:
 
 - still, turn: the camera; its last third turned by some pixels; single turns; a covered lens.
@@ -41,7 +42,8 @@ FOUND = 0.7  # share of the changed captures
 MONTHS = {3: "March", 6: "June", 12: "December"}
 
 Mask = NDArray[np.bool_]
-Found = tuple[str, Mask, Mask]  # name of a fault, captures it changed, captures left out or turned
+# name of a fault, captures it changed, captures left out or turned, whether a day is named
+Found = tuple[str, Mask, Mask, bool]
 
 
 def turned(data: Dataset, rows: NDArray[np.intp], turn_px: float) -> Floats32:
@@ -63,16 +65,16 @@ def camera_faults(data: Dataset) -> Iterator[Found]:
         return ~turns.aligned | turns.turned
 
     count = len(data)
-    yield "still", np.zeros(count, bool), found(data.luminance_cdm2)
+    yield "still", np.zeros(count, bool), found(data.luminance_cdm2), False
     last, some = np.arange(2 * count // 3, count), np.arange(4, count, 9)
     for turn_px in TURNS_PX:
         named = f"turn of {turn_px:g} px"
-        yield named, np.isin(np.arange(count), last), found(turned(data, last, turn_px))
+        yield named, np.isin(np.arange(count), last), found(turned(data, last, turn_px)), False
     single = np.isin(np.arange(count), some)
-    yield f"single turns of {SINGLE_PX:g} px", single, found(turned(data, some, SINGLE_PX))
+    yield f"single turns of {SINGLE_PX:g} px", single, found(turned(data, some, SINGLE_PX)), False
     covered = data.luminance_cdm2.copy()
     covered[some] = 0.0
-    yield "covered lens", single, found(covered)
+    yield "covered lens", single, found(covered), False
 
 
 def with_irradiance(data: Dataset, factor: NDArray[np.float64]) -> Dataset:
@@ -98,51 +100,52 @@ def with_blind(data: Dataset, shaded: Mask) -> Dataset:
 def day_faults(data: Dataset, seed: int) -> Iterator[Found]:
     """Yield what is left out of clean captures, and of those with changed days."""
 
-    def found(some: Dataset) -> Mask:
-        kept, _ = without_changes(some, with_patch=data.patch_cdm2 is not None)
-        return ~np.isin(data.slots, kept.slots)
+    def found(some: Dataset) -> tuple[Mask, bool]:
+        kept, notes = without_changes(some, with_patch=data.patch_cdm2 is not None)
+        return ~np.isin(data.slots, kept.slots), any("unclear which changed" in n for n in notes)
 
     rng = np.random.default_rng(seed)
     days = np.unique(data.days)
     months = np.array([day.astype(object).month for day in days])
-    yield "clean days", np.zeros(len(data), bool), found(data)
+    yield "clean days", np.zeros(len(data), bool), *found(data)
     for month, name in MONTHS.items():
         of_month = days[months == month]
         if not len(of_month):
             continue
         day = data.days == rng.choice(of_month)
-        yield f"irradiance {name}", day, found(with_irradiance(data, np.where(day, LOG_FACTOR, 1)))
-        yield f"lamp {name}", day, found(with_lamp(data, day))
-        yield f"blind {name}", day, found(with_blind(data, day))
+        yield f"irradiance {name}", day, *found(with_irradiance(data, np.where(day, LOG_FACTOR, 1)))
+        yield f"lamp {name}", day, *found(with_lamp(data, day))
+        yield f"blind {name}", day, *found(with_blind(data, day))
     june = days[months == 6]
     if len(june) == 3:
         two = np.isin(data.days, rng.choice(june, 2, replace=False))
-        yield "two_blinds June", two, found(with_blind(data, two))
+        yield "two_blinds June", two, *found(with_blind(data, two))
     hours = np.array([standard_time(t, data.setup.site.timezone).hour for t in data.light.t_utc])
     lit = np.isin(data.days, rng.choice(days, min(4, len(days)), replace=False)) & (hours >= 15)
-    yield "lamp evenings", lit, found(with_lamp(data, lit))
+    yield "lamp evenings", lit, *found(with_lamp(data, lit))
 
 
 def main() -> None:
     """Print the lines of each room, and the totals."""
-    totals: dict[str, list[tuple[int, int, int]]] = defaultdict(list)
+    totals: dict[str, list[tuple[int, int, int, int]]] = defaultdict(list)
     for number, file in enumerate(map(Path, sys.argv[2:])):
         case, room = Path(sys.argv[1]) / file.stem, tomllib.loads(file.read_text())
         write_case(room, file.parent / room["npz"], case)
         tape, site = case / "tape" / "9d.csv", case / "tape" / "site.toml"
         data = load(tape, ["transport"], site=site, scene="none").data
         for faults in (camera_faults(data), day_faults(data, number)):
-            for name, changed, out in faults:
+            for name, changed, out, named in faults:
                 counts = int((changed & out).sum()), int(changed.sum()), int((out & ~changed).sum())
+                counts = (*counts, int(named and not out.any()))
                 totals[name].append(counts)
                 print(f"{file.stem}: {name}: {counts[0]} of {counts[1]}, others {counts[2]}")
         sys.stdout.flush()
     for name, rows in totals.items():
-        done, of, others = (sum(row[k] for row in rows) for k in range(3))
+        done, of, others, named = (sum(row[k] for row in rows) for k in range(4))
         rooms = sum(row[1] > 0 and row[0] >= FOUND * row[1] for row in rows)
         blamed = sum(row[2] > 0 for row in rows)
         print(
-            f"# {name}: {done} of {of} captures, {rooms} of {len(rows)} rooms; "
+            f"# {name}: {done} of {of} captures, {rooms} of {len(rows)} rooms, named in {named}; "
             f"{others} others in {blamed} rooms"
         )
 
