@@ -2,7 +2,8 @@
 
 writes OUT/NAME.npz and OUT/NAME.toml: nine days (19 to 21 March, June and December, every hour) and
 60 hours of the year at 116x58 pixels, for `make_case.py` and `judge.py`. --fine adds OUT/NAME/ with
-pictures of 928x464 pixels, csvs of captures and test hours, and the truth about sky and sun disc.
+pictures of 928x464 pixels, csvs of captures and test hours, and the truth about sky and sun disc,
+also in all sunny hours of the year (truth_year.csv, which --year writes alone).
 Needs `pip install mitsuba` and an LLVM newer than 15 (DRJIT_LIBLLVM_PATH, e.g. libLLVM-19.so).
 """
 
@@ -29,7 +30,7 @@ TEST_HOURS = 60
 DISC_DNI_WM2 = 60.0  # less does not count as a sun
 _GAIN_SD, _NOISE_SD = 0.01, 0.005  # of a capture's level, and of its pixels
 TRUTH = [
-    *("t_utc", "set", "dni_wm2", "apparent_altitude_deg", "azimuth_deg"),
+    *("t_utc", "set", "dni_wm2", "dhi_wm2", "apparent_altitude_deg", "azimuth_deg"),
     *("share", "glass", "normal_lx"),
 ]
 ROWS = COARSE * FINE
@@ -243,22 +244,36 @@ def write_fine(
     (folder / "site.toml").write_text(
         site_toml(place, place.heading_deg) + f"height_m = {place.camera[2]}\n"
     )
-    with (folder / "truth.csv").open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(TRUTH)
-        for k, (h, (share, glass)) in enumerate(zip(hours, truth, strict=True)):
-            part = "9d" if k in captures else "test"
-            place_of_sun = (round(h.apparent_deg, 4), round(h.azimuth_deg, 4))
-            lux = round(h.normal_lx * share * glass, 1)
-            table.writerow(
-                [_iso(h), part, h.dni_wm2, *place_of_sun, round(share, 4), round(glass, 4), lux]
-            )
+    parts = ["9d" if k in captures else "test" for k in range(len(hours))]
+    write_truth(folder / "truth.csv", hours, parts, truth)
+    write_year(place, folder)
     np.savez_compressed(
         folder / "sky_view.npz",
         openness=first.openness.reshape(ROWS, 2 * ROWS).astype(np.float16),
         sky=first.sky.reshape(ROWS, 2 * ROWS).astype(np.float16),
         heading_deg=place.heading_deg,
     )
+
+
+def write_truth(path: Path, hours: Sequence[Hour], parts: Sequence[str], truth: Array) -> None:
+    """Write which share of the disc hours show, and the glass before it, [hours, 2]."""
+    with path.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(TRUTH)
+        for h, part, (share, glass) in zip(hours, parts, truth, strict=True):
+            sun = (round(h.apparent_deg, 4), round(h.azimuth_deg, 4))
+            lux = round(h.normal_lx * share * glass, 1)
+            light = (h.dni_wm2, h.dhi_wm2)
+            table.writerow([_iso(h), part, *light, *sun, round(share, 4), round(glass, 4), lux])
+
+
+def write_year(place: Place, folder: Path) -> None:
+    """Write truth_year.csv: the disc in all hours of the year with direct sun."""
+    year = year_of_hours(place.latitude, place.longitude, place.hours_east, place.seed)
+    hours = [h for h in year if h.dni_wm2 > DISC_DNI_WM2 and h.apparent_deg > 0.0]
+    probe = Renderer(place, hours[:1], 1, 1)
+    discs = [probe.disc(h, sun)[:2] for h, sun in zip(hours, suns_of(place, hours), strict=True)]
+    write_truth(folder / "truth_year.csv", hours, ["year"] * len(hours), np.array(discs))
 
 
 def _iso(hour: Hour) -> str:
@@ -270,11 +285,15 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("names", nargs="+", help="of rooms.py, or lot-N")
     parser.add_argument("--fine", action="store_true")
+    parser.add_argument("--year", action="store_true", help="only truth_year.csv of fine rooms")
     parser.add_argument("--rounds", type=int, default=4, help="of 4 camera rays a fine pixel")
     parser.add_argument("--paths", type=int, default=4, help="times 256 paths a coarse pixel")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     for name in args.names:
+        if args.year:
+            write_year(room(name), args.out / name)
+            continue
         render(name, args.out, fine=args.fine, rounds=args.rounds, paths=args.paths)
 
 

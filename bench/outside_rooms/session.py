@@ -68,7 +68,7 @@ def without_disc(luminance_cdm2: Array, altitude_deg: float, right_deg: float) -
 
 
 def rows(path: Path, part: str) -> list[Row]:
-    """Return the rows of truth.csv that are captures (9d) or test hours (test)."""
+    """Return the rows of a table of true discs that are captures (9d), test hours, or a year's."""
     with path.open() as file:
         return [row for row in csv.DictReader(file) if row["set"] == part]
 
@@ -121,19 +121,15 @@ def make(out: Path, name: str, camera: str) -> Session:
     return session
 
 
-def disc_figures(folder: Path, session: Session) -> dict[str, Any]:
-    """Return how the session's sky view shows the disc of the test hours, by the renderer's truth.
+def disc_figures(truth: list[Row], session: Session) -> dict[str, Any]:
+    """Return how the session's sky view shows the disc in some hours, by the renderer's truth.
 
     holds: share of the sunny hours whose true share of the beam is inside the 95 % interval;
     cannot_tell: hours whose interval has both no disc and a disc.
     """
-    truth = rows(folder / "truth.csv", "test")
-    with (folder / "test.csv").open() as file:
-        dhi = {row["t_utc"]: float(row["dhi_wm2"]) for row in csv.DictReader(file)}
     times = [datetime.fromisoformat(row["t_utc"]) for row in truth]
-    dni = np.array([float(row["dni_wm2"]) for row in truth])
-    site = session.site_file().site
-    light = light_at(times, site, dni, np.array([dhi[row["t_utc"]] for row in truth]))
+    dni, dhi = (np.array([float(row[f"{key}_wm2"]) for row in truth]) for key in ("dni", "dhi"))
+    light = light_at(times, session.site_file().site, dni, dhi)
     sunny = light.direct_lx > 1000.0
     true = np.array([float(row["share"]) * float(row["glass"]) for row in truth])[sunny]
     view = SkyView.read(session.sky_view)
@@ -168,7 +164,8 @@ def judge(fieldlum: str, out: Path, name: str, camera: str) -> dict[str, Any]:
         (out / name / f"{stage[0]}.txt").write_text(done.stdout + done.stderr)
         if done.returncode:
             row[stage[0]] = (done.stderr.strip().splitlines() or ["no message"])[-1]
-    row["disc"] = disc_figures(out / name, session)
+    for key, file, part in (("disc", "truth.csv", "test"), ("disc_year", "truth_year.csv", "year")):
+        row[key] = disc_figures(rows(out / name / file, part), session)
     write_case(tomllib.loads((out / f"{name}.toml").read_text()), out / f"{name}.npz", out / name)
     site, test = (str(out / name / "tape" / file) for file in ("site.toml", "test.csv"))
     scene = str(session.root / "scene")
