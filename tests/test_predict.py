@@ -268,9 +268,10 @@ def test_rounding_keeps_a_hundredth_of_a_percent(value: float) -> None:
 # 17037
 
 
-def _doubt(dgp: np.ndarray, u: float) -> standards.DgpUncertainty:
-    words = ("seen",) * dgp.shape[1]
-    return standards.DgpUncertainty(words, dgp, dgp, dgp[None], np.full(dgp.shape, u))
+def _doubt(dgp: np.ndarray, u: float, unlike: int = 0) -> standards.DgpUncertainty:
+    words, u_maps = ("seen",) * dgp.shape[1], np.full(dgp.shape, u)
+    similar = np.arange(len(dgp))[:, None] >= unlike
+    return standards.DgpUncertainty(words, dgp, dgp, dgp[None], u_maps, similar)
 
 
 @pytest.mark.authority
@@ -289,6 +290,7 @@ def test_classes_at_their_limits() -> None:
         rng = np.random.default_rng(0)
         (found,) = standards.protection(dgp, _doubt(dgp, np.nan), 100, np.array([180.0]), rng)
         assert found.glare_class == expected and found.low is None
+        assert not found.certain and found.sentence.startswith("cannot tell yet: ")
 
 
 @pytest.mark.analytic
@@ -306,6 +308,17 @@ def test_an_interval_across_a_limit_cannot_tell_yet() -> None:
     found = standards.protection(dgp, _doubt(dgp, 0.01), 1000, np.array([180.0, 0.0]), rng)
     assert not found[0].certain and found[1].certain
     assert "cannot tell yet" in found[0].sentence and "class high" in found[1].sentence
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(("unlike", "high"), [(50, 0.2), (51, 1.0)])
+def test_hours_like_no_capture_decide_no_class(unlike: int, high: float) -> None:
+    """EN 17037 allows 5 % of the hours: 50 of 1000 with any DGP change nothing, 51 everything."""
+    dgp, rng = np.full((1000, 1), 0.2), np.random.default_rng(0)
+    doubt = _doubt(dgp, 0.0, unlike)
+    (found,) = standards.protection(dgp, doubt, 1000, np.zeros(1), rng)
+    assert (found.glare_class, found.low, found.high) == ("high", 0.2, high)
+    assert found.certain == (unlike == 50) == ("cannot tell" not in found.sentence)
 
 
 @pytest.mark.slow

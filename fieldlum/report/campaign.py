@@ -153,13 +153,14 @@ def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
     """Return the overview of the rooms as HTML; name: of the campaign."""
     broken = [room for room in rooms if room.broken]
     worst = [room.worst for room in rooms if room.worst is not None]
-    bad = sum(direction.glare_class == "none" for direction in worst)
-    answer = f"Rooms with a view direction without protection from glare: {bad} of {len(worst)}."
+    bad = sum(direction.certain and direction.glare_class == "none" for direction in worst)
+    unsettled = f"{sum(not direction.certain for direction in worst)} cannot be told yet"
+    answer = f"Rooms with a view direction without protection from glare: {bad} of {len(worst)}"
     facts = [("rooms", f"{len(rooms)}"), ("predicted years", f"{len(worst)}")]
     failed = f"{counted(sum(room.failed for room in rooms), 'slot')} failed"
     why = f"{failed}; {counted(len(broken), 'session')} could not be read."
     skipped = [f"{room.session} was skipped. {room.broken}" for room in broken]
-    return render(Page(name, answer, why, facts, [_table(rooms)], skipped))
+    return render(Page(name, f"{answer}; {unsettled}.", why, facts, [_table(rooms)], skipped))
 
 
 def _table(rooms: Sequence[RoomOverview]) -> Section:

@@ -60,7 +60,8 @@ class DgpUncertainty(NamedTuple):
     words [d] : "seen", "partly seen" or "not seen"; minimum, maximum [n, d] : lowest and highest
     DGP over possible light in the unseen part of a view; drawn [k, n, d] : DGP in k random draws
     of the sun's place and visibility; u_maps [n, d] : standard uncertainty of DGP by the model's
-    maps, NaN if unknown.
+    maps, NaN if unknown; similar [n, 1] : False for an hour whose light is like that of no capture,
+    and for a model whose maps are not trusted: no figure above bounds its DGP.
     """
 
     words: tuple[str, ...]
@@ -68,6 +69,7 @@ class DgpUncertainty(NamedTuple):
     maximum: Floats
     drawn: Floats32
     u_maps: Floats
+    similar: Mask
 
     def hours(self, rows: Mask) -> DgpUncertainty:
         """Return the uncertainty of the hours for which the mask `rows` [n] is True."""
@@ -133,7 +135,7 @@ def protection(
     The interval comes from 400 years drawn with `rng`, with normal errors around the model's DGP;
     half of their variance is common to all hours. Each drawn year takes the sun's disc from one
     draw of `uncertainty.drawn`. The lower end uses `uncertainty.minimum`, the upper end
-    `uncertainty.maximum`.
+    `uncertainty.maximum`; in hours that are not `uncertainty.similar` they use 0 and 1.
     """
     exceeded = exceeded_in_share(dgp, occupied_hours)
     judged = np.array([word != NOT_SEEN for word in uncertainty.words])
@@ -163,12 +165,12 @@ def _sentence(row: DirectionYear) -> str:
     text = "below minimum" if row.glare_class == NO_CLASS else f"class {row.glare_class}"
     if row.seen != SEEN:
         text = f"{text}, from the seen part of the view"
-    figure = f"DGP exceeded in 5 % of occupied hours: {row.dgp_exceeded:.3f}"
-    if row.low is None:
-        return f"{text} ({figure}); the model states no uncertainty"
     if not row.certain:
         text = f"cannot tell yet: {text} is the most likely class"
-    return f"{text} ({figure}, 95 % interval {row.low:.3f} to {row.high:.3f})"
+    figure = f"{text} (DGP exceeded in 5 % of occupied hours: {row.dgp_exceeded:.3f}"
+    if row.low is None:
+        return f"{figure}); the model states no uncertainty"
+    return f"{figure}, 95 % interval {row.low:.3f} to {row.high:.3f})"
 
 
 def _interval(
@@ -182,6 +184,8 @@ def _interval(
     """
     ends = []
     bounds = np.stack([uncertainty.minimum, uncertainty.maximum])  # [2, n, d]
+    any_dgp = np.array([-np.inf, np.inf])[:, None, None]  # clipped to 0 and 1 below
+    bounds = np.where(uncertainty.similar, bounds, any_dgp)
     for k in range(DRAWS):
         deviation = uncertainty.drawn[k % len(uncertainty.drawn)] - dgp  # of a drawn year
         deviation += uncertainty.u_maps * year_errors(dgp.shape, rng)

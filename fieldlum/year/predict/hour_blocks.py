@@ -93,7 +93,7 @@ class ModelRoom:
     the model needs maps of sun patches; seen [H, W]: True for pixels that a lens saw, None if all
     were seen; mirrors: plane mirrors in the room that show the sun; sky_view: that of the model's
     captures, None for a model of an earlier version; sky_view_file: name of the file if another sky
-    view replaces it, else ""; pose: that of the sky view, from which the sun's place in the maps
+    view replaces it, else ""; untrusted: whether no hour of the model is trusted; pose: that of the sky view, from which the sun's place in the maps
     follows.
     """
 
@@ -106,6 +106,7 @@ class ModelRoom:
     mirrors: tuple[Mirror, ...] = ()
     sky_view: SkyView | None = None
     sky_view_file: str = ""
+    untrusted: bool = False
     pose: CameraPose = field(default_factory=CameraPose)
 
     @property
@@ -144,6 +145,7 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
         seen=seen_mask,
         mirrors=read_mirrors(folder, config),
         sky_view=view,
+        untrusted=config.untrusted,
         pose=view.pose if view else CameraPose(axis_deg=heading),
     )
 
@@ -175,6 +177,7 @@ def blocks(
         if not np.isfinite(maps).all():
             hours = f"hours {rows.start} to {rows.stop - 1}"
             raise FloatingPointError(f"{hours}: predicted values that are not finite")
+        prediction = replace(prediction, trusted=prediction.trusted & (not room.untrusted))
         images = tuple(mirror.images(part, room.heading_deg) for mirror in room.mirrors)
         yield HourBlock(rows, part, prediction, disc[rows], images)
 
@@ -345,7 +348,7 @@ class HourJudge:
         without any. dgp_low and dgp_high are the ends of the 95 % interval of DGP: the limit by
         what no lens saw, plus the quantile of the draws, plus 1.96 u of the maps. The three are
         added, not their squares as in u_dgp, so that the interval is wide enough also if they are
-        not independent. "occupied" is 0 here; `year.run` sets it.
+        not independent; they are 0 and 1 where no capture has similar light. "occupied" is 0 here; `year.run` sets it.
         """
         views, light, coverage, figures = self.views, block.light, self._coverage, self.glare(block)
         u_map_rel, u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
@@ -366,8 +369,10 @@ class HourJudge:
         off = drawn - figures["dgp"].astype(np.float32)  # [m, k, d]
         reach = 1.96 * np.nan_to_num(u_maps)  # 95 %
         low, high = np.percentile(off, (2.5, 97.5), axis=0)
-        figures["dgp_low"] = np.clip(minimum + np.minimum(low, 0.0) - reach, 0.0, 1.0)
-        figures["dgp_high"] = np.clip(maximum + np.maximum(high, 0.0) + reach, 0.0, 1.0)
+        low, high = minimum + np.minimum(low, 0.0) - reach, maximum + np.maximum(high, 0.0) + reach
+        similar = block.prediction.trusted[:, None]
+        figures["dgp_low"] = np.where(similar, np.clip(low, 0.0, 1.0), 0.0)
+        figures["dgp_high"] = np.where(similar, np.clip(high, 0.0, 1.0), 1.0)
         figures["u_dgp"] = np.hypot(u_maps, np.sqrt((off**2).mean(axis=0)))
         for values in figures.values():
             values[:, ~coverage.judged] = np.nan
@@ -379,7 +384,7 @@ class HourJudge:
             "expected_log10_mse": block.prediction.expected_mse,
             "disturbed_share": disturbed_share(figures["dgp"]),
         }
-        doubt = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps)
+        doubt = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps, similar)
         return HourFigures(hours, figures, doubt)
 
     def _drawn_light(
