@@ -93,8 +93,8 @@ class ModelRoom:
     the model needs maps of sun patches; seen [H, W]: True for pixels that a lens saw, None if all
     were seen; mirrors: plane mirrors in the room that show the sun; sky_view: that of the model's
     captures, None for a model of an earlier version; sky_view_file: name of the file if another sky
-    view replaces it, else ""; untrusted: whether no hour of the model is trusted; pose: that of the sky view, from which the sun's place in the maps
-    follows.
+    view replaces it, else ""; untrusted: whether no hour of the model is trusted; pose: that of the
+    sky view, from which the sun's place in the maps follows.
     """
 
     setup: SiteFile
@@ -348,7 +348,8 @@ class HourJudge:
         without any. dgp_low and dgp_high are the ends of the 95 % interval of DGP: the limit by
         what no lens saw, plus the quantile of the draws, plus 1.96 u of the maps. The three are
         added, not their squares as in u_dgp, so that the interval is wide enough also if they are
-        not independent; they are 0 and 1 where no capture has similar light. "occupied" is 0 here; `year.run` sets it.
+        not independent; they are 0 and 1 where no capture has similar light. "occupied" is 0 here;
+        `year.run` sets it.
         """
         views, light, coverage, figures = self.views, block.light, self._coverage, self.glare(block)
         u_map_rel, u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
