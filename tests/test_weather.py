@@ -1,16 +1,19 @@
 """Weather files: the three formats agree, bad input is named, repairs are said."""
 
+import json
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
 
 from fieldlum import weather
+from fieldlum.cli import main
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.core.records import Site
 from fieldlum.sky import sun
@@ -462,3 +465,24 @@ def test_measured_tmy3_files_pass() -> None:
     ):
         found = weather.read_weather(data / name, place)
         assert len(found) == 8760 and not found.repairs
+
+
+@pytest.mark.contract
+def test_info_describes_a_weather_file(tmp_path: Path) -> None:
+    """LibRaw was once named as the reader of an .epw."""
+    path, year = tmp_path / "c.epw", _year()
+    _write_epw(path, year)
+    answer = json.loads(CliRunner().invoke(main, ["info", str(path), "--json"]).stdout)
+    assert (answer["kind"], answer["hours"]) == ("weather file", 8760)
+    assert answer["place"] == f"Test ({SEATTLE.latitude_deg:g}, {SEATTLE.longitude_deg:g} deg)"
+    assert answer["largest_dni_wm2"] == pytest.approx(year.dni_wm2.max(), abs=0.01)
+    assert answer["used_by"] == "plan, simulate and predict, as --weather FILE"
+
+
+@pytest.mark.contract
+def test_info_names_the_kind_of_another_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.pdf"
+    path.write_bytes(b"%PDF-1.4")
+    result = CliRunner().invoke(main, ["info", str(path)])
+    assert result.exit_code == 3
+    assert "a.pdf: a PDF; expected a folder" in result.stderr and "LibRaw" not in result.stderr

@@ -1,11 +1,12 @@
 """`fieldlum info`: describe any file of fieldlum."""
 
+import math
 from pathlib import Path
 from typing import Any
 
 from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import emit_json, say, tell
-from fieldlum.core.errors import InputError, did_you_mean
+from fieldlum.core.errors import InputError, did_you_mean, kind_of
 from fieldlum.core.files import read_bytes
 
 Facts = dict[str, Any]  # facts about a file by name, as --json prints them
@@ -62,6 +63,7 @@ def describe(path: Path, part: str = "") -> Facts:
     invalid or of an unknown kind, OSError if a csv cannot be read.
     """
     from fieldlum.optics.profiles import camera_names, find_camera_profile
+    from fieldlum.optics.raw import RAW_SUFFIXES
     from fieldlum.session.codec import warn_if_changed
 
     if not path.exists() and str(path) in camera_names():
@@ -76,7 +78,12 @@ def describe(path: Path, part: str = "") -> Facts:
     if suffix == ".exr":
         return _exr(path, part)
     readers = {".hdr": _radiance, ".toml": _toml, ".csv": _csv, ".jpg": _jpeg, ".jpeg": _jpeg}
-    return readers.get(suffix, _raw)(path)
+    readers |= dict.fromkeys((".epw", ".tm2", ".wea"), _weather) | dict.fromkeys(RAW_SUFFIXES, _raw)
+    if suffix in readers:
+        return readers[suffix](path)
+    found = kind_of(read_bytes(path)[:64]) or "a file of an unknown kind"
+    expected = "a folder, a raw or JPEG frame, or .exr, .hdr, .toml, .csv, .epw, .tm2 or .wea"
+    raise InputError(path, found, expected, "name such a file")
 
 
 def _size(picture: Any) -> str:
@@ -165,6 +172,22 @@ def _csv(path: Path) -> Facts:
     lines = read_bytes(path).decode(errors="replace").splitlines()
     head, *rows = [line for line in lines if not line.startswith("#")] or [""]
     return {"kind": "table", "rows": len(rows), "columns": head}
+
+
+def _weather(path: Path) -> Facts:
+    """Return place, number of hours and largest irradiance [W/m2] of a weather file."""
+    from fieldlum.core.records import Site
+    from fieldlum.weather import read_weather_table
+
+    unknown = Site("not stated", 0.0, 0.0, "UTC")
+    table = read_weather_table(path, unknown)
+    place, rows = table.place or unknown, table.rows
+    where = f"{place.name} ({place.latitude_deg:g}, {place.longitude_deg:g} deg)"
+    facts: Facts = {"kind": "weather file", "place": where, "hours": len(rows)}
+    for name in ("dni", "dhi"):
+        values = [value for row in rows if not math.isnan(value := getattr(row, name))]
+        facts[f"largest_{name}_wm2"] = max(values, default=None)
+    return {**facts, "used_by": "plan, simulate and predict, as --weather FILE"}
 
 
 def _jpeg(path: Path) -> Facts:
