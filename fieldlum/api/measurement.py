@@ -26,9 +26,12 @@ from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
 def path_of(value: object, what: str = "file") -> Path:
     """Return a value as a path.
 
-    what: name of the value in errors. Raises InputError if it is neither a text nor a path.
+    what: name of the value in errors. Raises InputError if it is neither a text nor a path, and for
+    an "out" among the captures of a session.
     """
     if isinstance(value, str | os.PathLike):
+        if what == "out":
+            session.folder.refuse_captured(Path(value))
         return Path(value)
     found = f"a value of type {type(value).__name__}"
     raise InputError(what, found, "a path, as text or Path", "pass its path")
@@ -37,7 +40,9 @@ def path_of(value: object, what: str = "file") -> Path:
 def require_number(what: str, value: object, low: float, high: float = math.inf) -> None:
     """Raise InputError unless a value is a number from `low` to `high`; what: its name."""
     if not (isinstance(value, Real) and low <= float(value) <= high):
-        expected = f"a number from {low:g} to {high:g}" if high < math.inf else f"{low:g} or more"
+        expected = (
+            f"a number from {low:g} to {high:.10g}" if high < math.inf else f"{low:g} or more"
+        )
         raise InputError(what, repr(value), expected, "correct it")
 
 

@@ -109,12 +109,11 @@ def overview_of(folder: Path, name: str) -> RoomOverview:
 
     folder: of CAMPAIGN.toml; name: the session's folder, as the file states it. No error is raised.
     """
-    from fieldlum.session.slot_states import slots_ahead
     from fieldlum.session.stage_status import stage_status
 
     try:
         session = open_session(folder / name)
-        stages, pairs = stage_status(session), PairsFile.find(session.pairs)
+        stages, pairs = stage_status(session, datetime.now(UTC)), PairsFile.find(session.pairs)
         annual, capture = newest_annual(session), stages["capture"]
         year = PredictFile() if annual is None else annual.summary
         best, worst = best_and_worst(year.protection) or (None, None)
@@ -122,7 +121,7 @@ def overview_of(folder: Path, name: str) -> RoomOverview:
             name,
             captured=capture["done"],
             planned=stages["plan"]["slots"],
-            to_do=len(slots_ahead(session, datetime.now(UTC))),
+            to_do=capture["owed"],
             usable=len(pairs.usable),
             failed=capture["missed"] + capture["aborted"] + len(pairs.refused),
             occupied_hours=year.occupancy.hours,
