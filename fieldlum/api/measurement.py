@@ -40,9 +40,8 @@ def path_of(value: object, what: str = "file") -> Path:
 def require_number(what: str, value: object, low: float, high: float = math.inf) -> None:
     """Raise InputError unless a value is a number from `low` to `high`; what: its name."""
     if not (isinstance(value, Real) and low <= float(value) <= high):
-        expected = (
-            f"a number from {low:g} to {high:.10g}" if high < math.inf else f"{low:g} or more"
-        )
+        up_to = f"a number from {low:g} to {high:.10g}"
+        expected = up_to if high < math.inf else f"{low:g} or more"
         raise InputError(what, repr(value), expected, "correct it")
 
 

@@ -13,12 +13,18 @@ from typing import cast
 from zoneinfo import ZoneInfo
 
 from fieldlum.capture.match_card import Report
+from fieldlum.core.arrays import evenly_spread
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import IrradianceSample, utc_text
+from fieldlum.core.records import IrradianceSample, Site, utc_text
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
 from fieldlum.session import Session, replacing, replacing_path, sole_user, update_session
 from fieldlum.session.day_files import DAY_COLUMNS, DayFiles, day_files, encode_sample, read_day
 from fieldlum.session.folder import LoggerFileTable
+from fieldlum.sky import sun
+
+# Of the irradiance above the atmosphere. The darkest storm transmits 5 % (`sun.too_weak`). Of 1
+# W/m2, a thermopile gives 0.005 to 0.02 mV (ISO 9060 instruments), which a clear sky scales by 0.8.
+_DARKEST_SHARE = 0.02
 
 
 def import_rows(
@@ -44,6 +50,7 @@ def import_rows(
     if utc_offset_s is not None:
         times = [s.t_utc + timedelta(seconds=utc_offset_s) for s in logger_file.samples]
         _check_civil_time(path, times, ZoneInfo(session.site_file().site.timezone))
+    _refuse_voltages(path, logger_file.samples, session.site_file().site, sensitivities or {})
     before = session.table().get("logger_files", [])
     withdrawn = 0
     with sole_user(session, "log"):
@@ -57,6 +64,33 @@ def import_rows(
     left_out = tuple(f"{path}: {text}" for text in logger_file.left_out)
     notes = tuple(f"{path}: {text}" for text in logger_file.notes)
     return Report(rows=added, withdrawn=withdrawn, left_out=left_out, notes=notes)
+
+
+def _refuse_voltages(
+    path: Path,
+    samples: Sequence[IrradianceSample],
+    site: Site,
+    sensitivities: Mapping[str, float],
+) -> None:
+    """Raise InputError if global or diffuse irradiance is too small for any sky, as a voltage is.
+
+    samples: of the file, at least one; site: of the session; sensitivities: those that are stated,
+    by quantity. The largest value is compared with the highest sun of up to 1000 rows.
+    """
+    for quantity in ("ghi_wm2", "dhi_wm2"):
+        rows = [s for s in samples if getattr(s, quantity) is not None]
+        if not rows or quantity in sensitivities:
+            continue
+        some_utc = [rows[k].t_utc for k in evenly_spread(len(rows), 1000)]
+        altitude_deg = sun.position(some_utc, site).altitude_deg
+        top_wm2 = sun.horizontal_beam(sun.extraterrestrial_wm2(some_utc), altitude_deg).max()
+        largest_wm2, least_wm2 = max(getattr(s, quantity) for s in rows), _DARKEST_SHARE * top_wm2
+        if altitude_deg.max() > sun.CLEAR_SUN_DEG and 0.0 < largest_wm2 < least_wm2:
+            found = f"{quantity} is at most {largest_wm2:.3g} with the sun up to "
+            expected = f"over {least_wm2:.0f} W/m2, as under the darkest cloud"
+            remedy = f"if it is a voltage, state --sensitivity {quantity}=UV_PER_WM2; else check "
+            remedy += "unit, clock and instrument"
+            raise InputError(path, f"{found}{altitude_deg.max():.0f} deg", expected, remedy)
 
 
 def _check_civil_time(path: Path, times: Sequence[datetime], zone: ZoneInfo) -> None:

@@ -304,13 +304,12 @@ files.opener = _open
 
 def refuse_captured(path: Path) -> None:
     """Raise InputError for a path in raw/ or irradiance/ of a session: no result belongs there."""
-    # raw/ may be a link to another disk, and the path may contain ".."
-    places = (path.absolute(), path.resolve())
-    for place, root in ((place, root) for place in places for root in place.parents):
-        captured = root / place.relative_to(root).parts[0]
-        if captured.name in ("raw", "irradiance") and (root / "session.toml").is_file():
-            found = f"in {captured}, which has what was captured"
-            raise InputError(path, found, "a place for results", "name another folder")
+    for place in (path.absolute(), path.resolve()):  # raw/ may be a link to another disk
+        for root in place.parents:
+            captured = root / place.relative_to(root).parts[0]
+            if captured.name in ("raw", "irradiance") and (root / "session.toml").is_file():
+                found = f"in {captured}, which has what was captured"
+                raise InputError(path, found, "a place for results", "name another folder")
 
 
 def open_session(root: Path) -> Session:
