@@ -133,8 +133,6 @@ def test_glare_of_a_map_is_that_of_its_file(tmp_path: Path) -> None:
         ({"model": "transprot"}, "one of auto, .*; correct the name; did you mean 'transport'"),
         ({"model": None}, "one of auto, mean, nearest, transport, dense"),
         ({"patch": "foo"}, "one of absolute, gain, none"),
-        ({"budget_min": -1}, "0 or more"),
-        ({"seed": "a"}, "a number from 0 to 4294967295"),
     ],
 )
 def test_an_impossible_argument_of_fit_is_named(wrong: dict[str, Any], expected: str) -> None:
@@ -149,10 +147,7 @@ def test_an_impossible_argument_of_fit_is_named(wrong: dict[str, Any], expected:
     ("wrong", "expected"),
     [
         ({"capture_set": "9 day"}, "one of 9-day, .*did you mean '9-day'"),
-        ({"days": 0}, "a number from 1 to 366"),
-        ({"count": -1}, "1 or more"),
-        ({"year": 99999}, "a number from 1950 to 2100"),
-        ({"weather": "a.epw"}, "a weather year; pass the result of fieldlum.read_weather"),
+        ({"weather": "a.epw"}, "a weather year; call read_weather first"),
     ],
 )
 def test_an_impossible_argument_of_a_plan_is_named(wrong: dict[str, Any], expected: str) -> None:

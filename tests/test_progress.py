@@ -44,12 +44,3 @@ def test_parts_of_unequal_steps_count_on_one_scale() -> None:
                 for step in range(total + 1):
                     progress(step, total, "")
     assert shown == sorted(shown) and (shown[0], shown[-1]) == (0, 1000)
-
-
-def test_a_merge_of_files_shows_every_step(tmp_path: Path) -> None:
-    """Only the reading of frames was shown; merging and projecting take twice as long."""
-    shown: list[tuple[int, str]] = []
-    with shown_by(lambda done, _, text: shown.append((done, text))):
-        merge_shots(shots_of(tmp_path), PROFILE)
-    assert [done for done, _ in shown] == sorted(done for done, _ in shown)
-    assert {text for _, text in shown} >= {"frames", "merging rows", "projecting rows"}

@@ -1,6 +1,5 @@
 """Weather files: the three formats agree, bad input is named, repairs are said."""
 
-import json
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
@@ -468,15 +467,13 @@ def test_measured_tmy3_files_pass() -> None:
 
 
 @pytest.mark.contract
-def test_info_describes_a_weather_file(tmp_path: Path) -> None:
+def test_info_names_a_weather_file_and_its_command(tmp_path: Path) -> None:
     """LibRaw was once named as the reader of an .epw."""
-    path, year = tmp_path / "c.epw", _year()
-    _write_epw(path, year)
-    answer = json.loads(CliRunner().invoke(main, ["info", str(path), "--json"]).stdout)
-    assert (answer["kind"], answer["hours"]) == ("weather file", 8760)
-    assert answer["place"] == f"Test ({SEATTLE.latitude_deg:g}, {SEATTLE.longitude_deg:g} deg)"
-    assert answer["largest_dni_wm2"] == pytest.approx(year.dni_wm2.max(), abs=0.01)
-    assert answer["used_by"] == "plan, simulate and predict, as --weather FILE"
+    _write_epw(tmp_path / "c.epw", _year())
+    result = CliRunner().invoke(main, ["info", str(tmp_path / "c.epw")])
+    assert result.exit_code == 3 and "LibRaw" not in result.stderr
+    assert "c.epw: a weather file; expected a frame" in result.stderr
+    assert "read it with: fieldlum predict MODELDIR --weather FILE" in result.stderr
 
 
 @pytest.mark.contract
@@ -485,4 +482,6 @@ def test_info_names_the_kind_of_another_file(tmp_path: Path) -> None:
     path.write_bytes(b"%PDF-1.4")
     result = CliRunner().invoke(main, ["info", str(path)])
     assert result.exit_code == 3
-    assert "a.pdf: a PDF; expected a folder" in result.stderr and "LibRaw" not in result.stderr
+    assert (
+        "a.pdf: a PDF; expected a frame, picture" in result.stderr and "LibRaw" not in result.stderr
+    )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, get_args
 
 from numpy.typing import ArrayLike
 
-from fieldlum.api.measurement import path_of, place, require_number
+from fieldlum.api.measurement import path_of, place
 from fieldlum.core.errors import InputError, input_errors, require_name
 from fieldlum.core.records import Site, SiteFile, parse_utc
 from fieldlum.session import Session
@@ -112,7 +112,6 @@ class RoomModel:
         from fieldlum.year.predict.annual import dataset_of
         from fieldlum.year.predict.hour_blocks import room_figures
 
-        require_number("views", views, 1, 360)
         azimuths_deg = view_azimuths_deg(self.room.heading_deg, views)
         figures = room_figures(self.fitted, self.room, self._checked(light), azimuths_deg)
         hours = {name: v for name, v in figures.hours.items() if name != "occupied"}
@@ -231,8 +230,6 @@ def fit(
         raise InputError("data", f"{data!r:.60}", "pairs from fieldlum.load_pairs", "call it first")
     require_name("model", model, ("auto", *MODELS))
     require_name("patch", patch, get_args(Patch))
-    require_number("budget_min", budget_min, 0)
-    require_number("seed", seed, 0, 2**32 - 1)
     with nullcontext(out) if out is not None else TemporaryDirectory() as where:
         folder = path_of(where, "out")
         train.run(data, model, budget_min=budget_min, patch=patch, seed=seed, out=folder)
@@ -382,7 +379,6 @@ def predict_year(
     """
     from fieldlum.year import predict
 
-    require_number("views", views, 1, 360)
     return predict.run(
         path_of(model_folder, "model_folder"),
         path_of(weather_file),

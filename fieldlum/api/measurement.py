@@ -3,11 +3,9 @@
 # Signatures in help() show the names of types.
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from datetime import UTC, date, datetime
-from numbers import Real
 from pathlib import Path
 
 from fieldlum import merge, plan, session, weather
@@ -35,14 +33,6 @@ def path_of(value: object, what: str = "file") -> Path:
         return Path(value)
     found = f"a value of type {type(value).__name__}"
     raise InputError(what, found, "a path, as text or Path", "pass its path")
-
-
-def require_number(what: str, value: object, low: float, high: float = math.inf) -> None:
-    """Raise InputError unless a value is a number from `low` to `high`; what: its name."""
-    if not (isinstance(value, Real) and low <= float(value) <= high):
-        up_to = f"a number from {low:g} to {high:.10g}"
-        expected = up_to if high < math.inf else f"{low:g} or more"
-        raise InputError(what, repr(value), expected, "correct it")
 
 
 def open_session(folder: str | Path) -> Session:
@@ -289,12 +279,8 @@ def plan_captures(
     for name, day in (("start", start), ("today", today)):
         if not isinstance(day, date | None):
             raise InputError(name, repr(day), "a datetime.date", "pass date(2027, 3, 20)")
-    limits = (("year", year, 1950, 2100), ("days", days, 1, 366), ("count", count, 1, math.inf))
-    for name, value, low, high in limits:  # those of the command line
-        require_number(name, low if value is None else value, low, high)
     if not isinstance(weather, Weather | None):
-        expected, remedy = "a weather year", "pass the result of fieldlum.read_weather"
-        raise InputError("weather", f"{weather!r:.60}", expected, remedy)
+        raise InputError("weather", f"{weather!r:.60}", "a weather year", "call read_weather first")
     setup = site if isinstance(site, SiteFile) else load_site(site)
     counted_from = today or plan.today_at(setup.site, datetime.now(UTC))
     request = plan.Request(capture_set, counted_from, start, year, days, count)

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import cast
 from zoneinfo import ZoneInfo
 
+import numpy as np
+
 from fieldlum.capture.match_card import Report
 from fieldlum.core.arrays import evenly_spread
 from fieldlum.core.errors import InputError
@@ -24,7 +26,8 @@ from fieldlum.sky import sun
 
 # Of the irradiance above the atmosphere. The darkest storm transmits 5 % (`sun.too_weak`). Of 1
 # W/m2, a thermopile gives 0.005 to 0.02 mV (ISO 9060 instruments), which a clear sky scales by 0.8.
-_DARKEST_SHARE = 0.02
+# The share holds for a sun above 10 degrees.
+_DARKEST_SHARE, _HIGH_SUN_SINE = 0.02, 0.17
 
 
 def import_rows(
@@ -50,7 +53,9 @@ def import_rows(
     if utc_offset_s is not None:
         times = [s.t_utc + timedelta(seconds=utc_offset_s) for s in logger_file.samples]
         _check_civil_time(path, times, ZoneInfo(session.site_file().site.timezone))
-    _refuse_voltages(path, logger_file.samples, session.site_file().site, sensitivities or {})
+    for quantity in sorted({"ghi_wm2", "dhi_wm2"} - set(sensitivities or ())):
+        if rows := [s for s in logger_file.samples if getattr(s, quantity) is not None]:
+            _refuse_voltage(path, rows, quantity, session.site_file().site)
     before = session.table().get("logger_files", [])
     withdrawn = 0
     with sole_user(session, "log"):
@@ -66,31 +71,23 @@ def import_rows(
     return Report(rows=added, withdrawn=withdrawn, left_out=left_out, notes=notes)
 
 
-def _refuse_voltages(
-    path: Path,
-    samples: Sequence[IrradianceSample],
-    site: Site,
-    sensitivities: Mapping[str, float],
+def _refuse_voltage(
+    path: Path, rows: Sequence[IrradianceSample], quantity: str, site: Site
 ) -> None:
-    """Raise InputError if global or diffuse irradiance is too small for any sky, as a voltage is.
+    """Raise InputError if an irradiance is too small for any sky, as a voltage is.
 
-    samples: of the file, at least one; site: of the session; sensitivities: those that are stated,
-    by quantity. The largest value is compared with the highest sun of up to 1000 rows.
+    rows: those of the file that have the quantity; quantity: ghi_wm2 or dhi_wm2; site: of the
+    session. The largest value is compared with the highest sun of up to 1000 rows.
     """
-    for quantity in ("ghi_wm2", "dhi_wm2"):
-        rows = [s for s in samples if getattr(s, quantity) is not None]
-        if not rows or quantity in sensitivities:
-            continue
-        some_utc = [rows[k].t_utc for k in evenly_spread(len(rows), 1000)]
-        altitude_deg = sun.position(some_utc, site).altitude_deg
-        top_wm2 = sun.horizontal_beam(sun.extraterrestrial_wm2(some_utc), altitude_deg).max()
-        largest_wm2, least_wm2 = max(getattr(s, quantity) for s in rows), _DARKEST_SHARE * top_wm2
-        if altitude_deg.max() > sun.CLEAR_SUN_DEG and 0.0 < largest_wm2 < least_wm2:
-            found = f"{quantity} is at most {largest_wm2:.3g} with the sun up to "
-            expected = f"over {least_wm2:.0f} W/m2, as under the darkest cloud"
-            remedy = f"if it is a voltage, state --sensitivity {quantity}=UV_PER_WM2; else check "
-            remedy += "unit, clock and instrument"
-            raise InputError(path, f"{found}{altitude_deg.max():.0f} deg", expected, remedy)
+    some_utc = [rows[k].t_utc for k in evenly_spread(len(rows), 1000)]
+    sine = np.sin(np.radians(sun.position(some_utc, site).altitude_deg))
+    least_wm2 = float(_DARKEST_SHARE * (sun.extraterrestrial_wm2(some_utc) * sine).max())
+    largest_wm2 = max(getattr(row, quantity) for row in rows)
+    if sine.max() > _HIGH_SUN_SINE and 0.0 < largest_wm2 < least_wm2:
+        found = f"{quantity} is at most {largest_wm2:.3g}"
+        expected = f"over {least_wm2:.0f} W/m2 by day, even under the darkest cloud"
+        remedy = f"if it is a voltage, state --sensitivity {quantity}=UV_PER_WM2; else check unit"
+        raise InputError(path, found, expected, f"{remedy}, clock and instrument")
 
 
 def _check_civil_time(path: Path, times: Sequence[datetime], zone: ZoneInfo) -> None:

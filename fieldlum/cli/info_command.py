@@ -1,6 +1,5 @@
 """`fieldlum info`: describe any file of fieldlum."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -78,12 +77,14 @@ def describe(path: Path, part: str = "") -> Facts:
     if suffix == ".exr":
         return _exr(path, part)
     readers = {".hdr": _radiance, ".toml": _toml, ".csv": _csv, ".jpg": _jpeg, ".jpeg": _jpeg}
-    readers |= dict.fromkeys((".epw", ".tm2", ".wea"), _weather) | dict.fromkeys(RAW_SUFFIXES, _raw)
+    readers |= dict.fromkeys(RAW_SUFFIXES, _raw)
     if suffix in readers:
         return readers[suffix](path)
     found = kind_of(read_bytes(path)[:64]) or "a file of an unknown kind"
-    expected = "a folder, a raw or JPEG frame, or .exr, .hdr, .toml, .csv, .epw, .tm2 or .wea"
-    raise InputError(path, found, expected, "name such a file")
+    expected, remedy = "a frame, picture, profile, csv, or folder", "name such a file"
+    if suffix in (".epw", ".tm2", ".wea"):
+        found, remedy = "a weather file", "read it with: fieldlum predict MODELDIR --weather FILE"
+    raise InputError(path, found, expected, remedy)
 
 
 def _size(picture: Any) -> str:
@@ -172,22 +173,6 @@ def _csv(path: Path) -> Facts:
     lines = read_bytes(path).decode(errors="replace").splitlines()
     head, *rows = [line for line in lines if not line.startswith("#")] or [""]
     return {"kind": "table", "rows": len(rows), "columns": head}
-
-
-def _weather(path: Path) -> Facts:
-    """Return place, number of hours and largest irradiance [W/m2] of a weather file."""
-    from fieldlum.core.records import Site
-    from fieldlum.weather import read_weather_table
-
-    unknown = Site("not stated", 0.0, 0.0, "UTC")
-    table = read_weather_table(path, unknown)
-    place, rows = table.place or unknown, table.rows
-    where = f"{place.name} ({place.latitude_deg:g}, {place.longitude_deg:g} deg)"
-    facts: Facts = {"kind": "weather file", "place": where, "hours": len(rows)}
-    for name in ("dni", "dhi"):
-        values = [value for row in rows if not math.isnan(value := getattr(row, name))]
-        facts[f"largest_{name}_wm2"] = max(values, default=None)
-    return {**facts, "used_by": "plan, simulate and predict, as --weather FILE"}
 
 
 def _jpeg(path: Path) -> Facts:

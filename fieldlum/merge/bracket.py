@@ -11,7 +11,6 @@ import numpy as np
 
 from fieldlum.core.arrays import Integers
 from fieldlum.core.errors import InputError
-from fieldlum.core.progress import part_of_progress
 from fieldlum.core.records import Flag, JsonTable, Panorama
 from fieldlum.merge.project import blend, finished_map, view_through
 from fieldlum.merge.ratios import Exposures, any_beyond_prior
@@ -272,16 +271,12 @@ def merge_shots(
     if floating:
         profile = replace(profile, colour=replace(profile.colour, melanopic_from_rgb=()))
     images, findings = [], []
-    headings = groupby(sorted_shots(shots, profile), key=lambda s: s.heading_deg)
-    groups = [(heading, list(group)) for heading, group in headings]
-    for number, (heading, group) in enumerate(groups):
+    for heading, group in groupby(sorted_shots(shots, profile), key=lambda s: s.heading_deg):
         turn_deg = 0.0 if heading is None else heading - heading_deg
-        with part_of_progress(number, len(groups) + 1):
-            image, part = merge_sensor(group, profile, fit=options.fit, turn_deg=turn_deg)
+        image, part = merge_sensor(list(group), profile, fit=options.fit, turn_deg=turn_deg)
         images.append(image)
         findings.append(part)
-    with part_of_progress(len(groups), len(groups) + 1):
-        views = [view_through(image, lens, target) for image in images for lens in profile.lens]
+    views = [view_through(image, lens, target) for image in images for lens in profile.lens]
     seen = blend(views)
     panorama = finished_map(seen, profile, target, heading_deg=heading_deg, t_utc=middle_of(shots))
     assert panorama.flags is not None  # by `finished_map`

@@ -64,7 +64,13 @@ def read_weather(path: str | Path, site: Site, *, label_shift_min: float = 0.0) 
         if label_shift_min:
             raise InputError(path, "no file", "a weather file to shift", "omit --label-shift")
         return synthetic_weather(site)
-    table = read_weather_table(path, site)
+    expected = "an EPW, TMY3 or CSV weather file"
+    lines = lines_of(read_text(path, expected))
+    if not any(line.strip() for line in lines):
+        raise InputError(path, "an empty file", expected, "download the file again")
+    table = read_table(path, lines, site)
+    if not table.rows:
+        raise NotEnoughDataError(f"{path}: the file has no hours; download the file again")
     repairs = [*table.notes]
     if label_shift_min:
         repairs.append(f"times of all rows moved by {label_shift_min:+g} min")
@@ -83,22 +89,6 @@ def read_weather(path: str | Path, site: Site, *, label_shift_min: float = 0.0) 
     ghi = np.array([stated.get(t, math.nan) for t in weather.t_utc])
     repairs += check_plausible(path, weather, table.place or site, ghi)
     return replace(weather, repairs=tuple(repairs))
-
-
-def read_weather_table(path: Path, site: Site) -> WeatherTable:
-    """Return the content of a weather file as it is, not yet checked against the sun.
-
-    site: for formats that state no place or zone. Raises InputError for a file that cannot be read,
-    NotEnoughDataError for one without hours.
-    """
-    expected = "an EPW, TMY3 or CSV weather file"
-    lines = lines_of(read_text(path, expected))
-    if not any(line.strip() for line in lines):
-        raise InputError(path, "an empty file", expected, "download the file again")
-    table = read_table(path, lines, site)
-    if not table.rows:
-        raise NotEnoughDataError(f"{path}: the file has no hours; download the file again")
-    return table
 
 
 # The place of the shipped year: Liu, Colburn, Inanici 2020, section 2.

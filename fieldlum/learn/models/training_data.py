@@ -13,16 +13,7 @@ from fieldlum.core.arrays import Array, Dates, Floats, Floats16, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.progress import progress
-from fieldlum.core.records import (
-    CLIPPED_SUN,
-    Flag,
-    Panorama,
-    Site,
-    SiteFile,
-    counted,
-    listed,
-    slot_id,
-)
+from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SiteFile, counted, slot_id
 from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.learn.models.camera_turns import align, camera_turns, shown_place, turn_notes
 from fieldlum.learn.models.held_out_choice import weight_of_variance
@@ -339,21 +330,20 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
         refraction=_refraction(path, rows),
     )
     data, has_value = read_pictures(path, rows, setup, light)
-    is_dark = (data.luminance_cdm2 > _DARK_CDM2).mean(axis=(1, 2)) < 0.01
+    is_lit = (data.luminance_cdm2 > _DARK_CDM2).mean(axis=(1, 2)) > 0.01
     remedy = "check lens cap, blinds and exposures, and capture again"
-    if is_dark.all():
-        finding, expected = f"no light in {counted(len(rows), 'picture')}", "a daylit room"
-        raise InputError(path, finding, expected, remedy)
-    if (is_dark := is_dark & (light.dhi_wm2 > _DAY_WM2)).any():
-        named = listed([slot for slot, dark in zip(data.slots, is_dark, strict=True) if dark])
+    if not is_lit.any():
+        finding = f"no light in {counted(len(rows), 'picture')}"
+        raise InputError(path, finding, "a daylit room", remedy)
+    if not (is_lit := is_lit | (light.dhi_wm2 < _DAY_WM2)).all():
+        named = ", ".join(data.take(~is_lit).slots)
         notes.append(f"WARNING: not used, because they are dark by day: {named}: {remedy}")
-        lit = [row for row, dark in zip(rows, is_dark, strict=True) if not dark]
-        return _assemble(path, lit, setup, notes)
+        return _assemble(path, [rows[k] for k in np.flatnonzero(is_lit)], setup, notes)
     heading, days = data.heading_deg, data.days
     sun_deg = np.where(light.direct_lx > 1000.0, altitude, np.nan)  # 10 W/m2 of DNI
     turns = camera_turns(np.nan_to_num(data.luminance_cdm2), data.seen, heading, sun_deg)
     if not turns.aligned.any():
-        expected, remedy = "several of the same view", "check that they show one room"
+        expected = "several of the same view"
         raise InputError(path, "no two pictures have the same edges", expected, remedy)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
         at = (float(light.apparent_altitude_deg[k]), float(azimuth[k]))
