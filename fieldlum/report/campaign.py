@@ -153,7 +153,7 @@ def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
     broken = [room for room in rooms if room.broken]
     worst = [room.worst for room in rooms if room.worst is not None]
     bad = sum(direction.certain and direction.glare_class == "none" for direction in worst)
-    unsettled = f"{sum(not direction.certain for direction in worst)} cannot be told yet"
+    unsettled = f"{sum(not direction.certain for direction in worst)} cannot be decided yet"
     answer = f"Rooms with a view direction without protection from glare: {bad} of {len(worst)}"
     facts = [("rooms", f"{len(rooms)}"), ("predicted years", f"{len(worst)}")]
     failed = f"{counted(sum(room.failed for room in rooms), 'slot')} failed"
