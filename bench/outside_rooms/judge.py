@@ -89,14 +89,17 @@ def judge(fieldlum: str, file: Path, case: Path, days: int | None, captures: int
         answer, why, seconds = run(command)
         row[name] = {**figures(answer), "s": round(seconds)} if answer else why
         if answer:
-            row[name] |= discs(fieldlum, folder, patches, model)
+            files = [str(folder / name) for name in ("9d.csv", "test.csv", "site.toml")]
+            row[name] |= discs(fieldlum, files, patches, model)
     return row
 
 
-def discs(fieldlum: str, folder: Path, scene: str, model: str) -> Json:
-    """Return counts of discs and wrong classes by `discs.py`, or its complaint."""
+def discs(fieldlum: str, files: list[str], scene: str, model: str) -> Json:
+    """Return counts of discs and wrong classes by `discs.py`, or its complaint.
+
+    files: captures, test hours, site.
+    """
     python = str(Path(fieldlum).parent / "python")
-    files = [str(folder / name) for name in ("9d.csv", "test.csv", "site.toml")]
     script = str(Path(__file__).parent / "discs.py")
     counts, why, _ = run([python, script, *files, scene, model])
     return counts or {"discs": why}

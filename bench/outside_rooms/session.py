@@ -17,14 +17,13 @@ import csv
 import json
 import shutil
 import subprocess
-import sys
 import tomllib
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from judge import figures, run
+from judge import discs, figures, run
 from make_case import write_case
 from numpy.typing import NDArray
 
@@ -122,13 +121,6 @@ def make(out: Path, name: str, camera: str) -> Session:
     return session
 
 
-def discs(session: Session, test: str, site: str, scene: str, model: str) -> dict[str, Any]:
-    """Return counts of discs and wrong classes by `discs.py`, or its complaint."""
-    script = str(Path(__file__).parent / "discs.py")
-    counts, why, _ = run([sys.executable, script, str(session.root), test, site, scene, model])
-    return counts or {"discs": why}
-
-
 def disc_figures(folder: Path, session: Session) -> dict[str, Any]:
     """Return how the session's sky view shows the disc of the test hours, by the renderer's truth.
 
@@ -190,7 +182,7 @@ def judge(fieldlum: str, out: Path, name: str, camera: str) -> dict[str, Any]:
         answer, why, _ = run([*command, "--out", str(out / name / f"o_{kind}")])
         row[kind] = figures(answer) if answer else why
         if answer:
-            row[kind] |= discs(session, test, site, patches, model)
+            row[kind] |= discs(fieldlum, [str(session.root), test, site], patches, model)
     return row
 
 

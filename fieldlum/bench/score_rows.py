@@ -109,9 +109,9 @@ def load(
     if test is None:
         return BenchData(data, None, specs)
     test_data, _ = apply_scene(load_pairs(test, site), pairs, scene, "absolute")
-    kinds = [(some.shape, round(some.heading_deg, 2)) for some in (test_data, data)]
-    if kinds[0] != kinds[1]:
-        found, needed = (f"{w} x {h} pixels, heading {deg:g}" for (h, w), deg in kinds)
+    frames = [(some.shape, round(some.heading_deg, 2)) for some in (test_data, data)]
+    if frames[0] != frames[1]:
+        found, needed = (f"{w} x {h} pixels, heading {deg:g}" for (h, w), deg in frames)
         raise InputError(test, found, f"{needed}, as in {pairs}", "merge or render both alike")
     folders = (spec.folder for spec in specs if spec.folder is not None)
     both_seen = replace(test_data, sky_view=data.sky_view, seen=test_data.seen & data.seen)

@@ -52,10 +52,10 @@ MOVE_COST = 4.8
 # used. Of nine consecutive captures with a lower median than the second, those under the third are
 # of a moved camera: in 22 rooms of other renderers clean medians are 0.58 or more, and 0.15 to 0.67
 # after a turn of 37 degrees, when no capture has more than 0.71.
-MIN_CORRELATION, _MIN_OF_NINE, _CERTAIN = 0.35, 0.5, 0.75
+MIN_CORRELATION, _MIN_OF_NINE, _NOT_MOVED = 0.35, 0.5, 0.75
 # A sun below this is low [deg]: clean captures with less than the first correlation have 3.6 to
 # 11.3 in those rooms.
-_LOW_SUN_DEG = 20.0
+LOW_SUN_DEG = 20.0
 # A capture is turned too far if its edges, turned by over 3 pixels more, agree better with the
 # room's, by this correlation: in those rooms clean captures have at most 0.05, and of 250 single
 # captures turned by 37 to 180 degrees three have less than this.
@@ -303,7 +303,7 @@ def camera_turns(
             edges = stored.get(i)
             if edges is None:
                 edges = _edges_of(logs[i], heading_deg, angles[i], smooth_px)
-            if k == 2:
+            if k == len(_SMOOTH_PX) - 1:
                 elsewhere[i] = room.elsewhere(edges)
             turn, u_deg[i], correlation[i] = room.turn(edges)
             angles[i] += turn
@@ -311,12 +311,12 @@ def camera_turns(
     pixel_deg = 180.0 / seen_mask.shape[0]
     u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
     of_nine = ndimage.median_filter(correlation, 9, mode="mirror")
-    moved = (of_nine < _MIN_OF_NINE) & (correlation < _CERTAIN) | (elsewhere > _MIN_ELSEWHERE)
+    moved = (of_nine < _MIN_OF_NINE) & (correlation < _NOT_MOVED) | (elsewhere > _MIN_ELSEWHERE)
     # The search does not converge to larger turns.
     near = np.abs(angles).max(axis=1) < 10.0 * pixel_deg
     found = near & ~moved & (correlation >= MIN_CORRELATION)
-    unclear = ~found & ~moved & (np.asarray(sun_deg) < _LOW_SUN_DEG)
-    poses, aligned = _poses(angles, found, unclear, pixel_deg)
+    low_sun = ~found & ~moved & (np.asarray(sun_deg) < LOW_SUN_DEG)
+    poses, aligned = _poses(angles, found, low_sun, pixel_deg)
     return CameraTurns(poses, u_deg, aligned)
 
 
@@ -324,18 +324,18 @@ def camera_turns(
 # poses
 
 
-def _poses(angles: Array, found: Mask, unclear: Mask, pixel_deg: float) -> tuple[Array, Mask]:
+def _poses(angles: Array, reliable: Mask, low_sun: Mask, pixel_deg: float) -> tuple[Array, Mask]:
     """Return one turn for all captures of a pose, [n, 3] deg, and the captures that have one [n].
 
     The turn is zero if it is uncertain. angles: the estimated turn of each capture in the order of
-    time [n, 3] deg; found: whether it is reliable [n]; unclear: captures that have the pose of the
-    reliable ones before and after them, if these agree [n]; pixel_deg: size of a pixel. A camera
-    does not turn until it is moved, so that consecutive captures have one pose.
+    time [n, 3] deg; reliable: whether it can be used [n]; low_sun: other captures, which have the
+    pose of the reliable ones before and after them, if these agree [n]; pixel_deg: size of a pixel.
+    A camera does not turn until it is moved, so that consecutive captures have one pose.
     """
     out = np.zeros_like(angles)
-    rows = np.flatnonzero(found)
+    rows = np.flatnonzero(reliable)
     if not len(rows):
-        return out, found
+        return out, reliable
     unit = TURN_PX * pixel_deg
     pieces = _pieces(angles[rows] / unit)
     counts = [stop - start for start, stop in pieces]
@@ -350,8 +350,8 @@ def _poses(angles: Array, found: Mask, unclear: Mask, pixel_deg: float) -> tuple
             out[rows[start:stop]] = np.where(size < 1.0, 0.0, pose)
     earlier = np.searchsorted(rows, np.arange(len(out)))  # number of reliable captures
     before, after = (out[rows[np.clip(earlier - k, 0, len(rows) - 1)]] for k in (1, 0))
-    same = unclear & (before == after).all(axis=1)
-    return np.where(same[:, None], after, out), found | same
+    same = low_sun & (before == after).all(axis=1)
+    return np.where(same[:, None], after, out), reliable | same
 
 
 def _pieces(values: Array) -> list[tuple[int, int]]:

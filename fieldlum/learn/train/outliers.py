@@ -16,6 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Indices, Mask, evenly_spread
+from fieldlum.learn.models.camera_turns import LOW_SUN_DEG
 from fieldlum.learn.models.held_out_choice import UNSURE, is_badly_measured
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport import training_arrays
@@ -50,7 +51,7 @@ class Process:
     variance; judged [n]: True for captures that can be compared, with enough light and, without
     computed sun patches, hardly any sun; days [n]: dates; hours [n]: local standard time [h]; lamp
     [n]: 1 000 lx over the total light outside, to which the light of a lamp in `y` is proportional;
-    low_sun [n]: True with a beam from below 20 degrees.
+    low_sun [n]: True with a beam from below `LOW_SUN_DEG`.
     """
 
     y: Array
@@ -96,7 +97,7 @@ def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> 
         y = np.where(valid, y, predicted)
     times = [sun.standard_time(t, data.setup.site.timezone) for t in data.light.t_utc]
     hours = np.array([t.hour + t.minute / 60.0 for t in times])
-    low_sun = (arrays.features.beam > 0.05) & (data.light.sun_altitude_deg < 20.0)
+    low_sun = (arrays.features.beam > 0.05) & (data.light.sun_altitude_deg < LOW_SUN_DEG)
     return Process(y, covariance, spread, judged, small.days, hours, lamp, low_sun)
 
 
@@ -428,7 +429,8 @@ def _contradiction(data: Dataset, rows: Indices, factor: Floats, subject: str) -
     return (
         f"WARNING: {subject} {verbs[0]} the other days and {verbs[1]} not used: the median light "
         f"is {np.median(factor):.2f} times the predicted light. Possible causes are a moved blind, "
-        "a lamp, snow or wrong irradiance; look at the pictures, mark what was different (fieldlum "
-        "status SESSION --mark SLOT blind=half), and train again: "
+        "a lamp, snow or wrong irradiance, here or on the season's other days; look at the "
+        "pictures, mark what was different (fieldlum status SESSION --mark SLOT blind=half), and "
+        "train again: "
         f"{', '.join(data.slots[row] for row in rows)}"
     )

@@ -68,9 +68,7 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
         return Misplacement(note=note)
     progress(0, 100, "setting: light without patches")
     try:
-        state = SceneSearch(
-            data, room, _pose_by_discs(data), pixels=COARSE_PIXELS, min_hours=MIN_HOURS
-        )
+        state = SceneSearch(data, room, _disc_pose(data), pixels=COARSE_PIXELS, min_hours=MIN_HOURS)
     except NotEnoughDataError:
         return None
     # A wrong north or clock has no prior: a compass near steel is off by any angle.
@@ -94,7 +92,7 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
     return Misplacement(off if gain > MIN_GAIN else {}, gain, len(state.evidence))
 
 
-def _pose_by_discs(data: Dataset) -> PosePrior | None:
+def _disc_pose(data: Dataset) -> PosePrior | None:
     """Return the camera's pose by sun discs in the captures, with any clock; None without discs."""
     if data.sky_view is None or not data.sky_view.pose.discs:
         return None
