@@ -58,10 +58,9 @@ class DgpUncertainty(NamedTuple):
     """How uncertain the DGP of n hours in d directions is.
 
     words [d] : "seen", "partly seen" or "not seen"; minimum, maximum [n, d] : lowest and highest
-    DGP over possible light in the unseen part of a view; drawn [k, n, d] : DGP in k random draws
-    of the sun's place and visibility; u_maps [n, d] : standard uncertainty of DGP by the model's
-    maps, NaN if unknown; similar [n, 1] : False for an hour whose light is like that of no capture,
-    and for a model whose maps are not trusted: no figure above bounds its DGP.
+    DGP over possible light in the unseen part of a view, infinite if nothing bounds them; drawn [k,
+    n, d] : DGP in k random draws of the sun's place and visibility; u_maps [n, d] : standard
+    uncertainty of DGP by the model's maps, NaN if unknown.
     """
 
     words: tuple[str, ...]
@@ -69,7 +68,6 @@ class DgpUncertainty(NamedTuple):
     maximum: Floats
     drawn: Floats32
     u_maps: Floats
-    similar: Mask
 
     def hours(self, rows: Mask) -> DgpUncertainty:
         """Return the uncertainty of the hours for which the mask `rows` [n] is True."""
@@ -135,7 +133,7 @@ def protection(
     The interval comes from 400 years drawn with `rng`, with normal errors around the model's DGP;
     half of their variance is common to all hours. Each drawn year takes the sun's disc from one
     draw of `uncertainty.drawn`. The lower end uses `uncertainty.minimum`, the upper end
-    `uncertainty.maximum`; in hours that are not `uncertainty.similar` they use 0 and 1.
+    `uncertainty.maximum`.
     """
     exceeded = exceeded_in_share(dgp, occupied_hours)
     judged = np.array([word != NOT_SEEN for word in uncertainty.words])
@@ -184,8 +182,6 @@ def _interval(
     """
     ends = []
     bounds = np.stack([uncertainty.minimum, uncertainty.maximum])  # [2, n, d]
-    any_dgp = np.array([-np.inf, np.inf])[:, None, None]  # clipped to 0 and 1 below
-    bounds = np.where(uncertainty.similar, bounds, any_dgp)
     for k in range(DRAWS):
         deviation = uncertainty.drawn[k % len(uncertainty.drawn)] - dgp  # of a drawn year
         deviation += uncertainty.u_maps * year_errors(dgp.shape, rng)

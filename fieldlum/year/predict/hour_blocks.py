@@ -317,6 +317,7 @@ class HourJudge:
         azimuths_deg: the directions [d], clockwise from north.
         """
         size, self._pose = (room.height, room.width, room.heading_deg), room.pose
+        self._reach = np.inf if room.untrusted else 0.0
         self.views = panorama_views(*size, azimuths_deg, room.seen)
         self._coverage = metrics.view_coverage(self.views)
         self._regions = metrics.region_weights(self.views)
@@ -348,8 +349,8 @@ class HourJudge:
         without any. dgp_low and dgp_high are the ends of the 95 % interval of DGP: the limit by
         what no lens saw, plus the quantile of the draws, plus 1.96 u of the maps. The three are
         added, not their squares as in u_dgp, so that the interval is wide enough also if they are
-        not independent; they are 0 and 1 where no capture has similar light. "occupied" is 0 here;
-        `year.run` sets it.
+        not independent; a model of which no hour is trusted bounds nothing: they are 0 and 1.
+        "occupied" is 0 here; `year.run` sets it.
         """
         views, light, coverage, figures = self.views, block.light, self._coverage, self.glare(block)
         u_map_rel, u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
@@ -362,6 +363,7 @@ class HourJudge:
             brightest = np.maximum(brightest, seen_cdm2)
         # lowest and highest DGP over possible luminances of the unseen part [k, d]
         minimum, maximum = metrics.unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
+        minimum, maximum = minimum - self._reach, maximum + self._reach
         drawn_ev_lx, drawn_contrast = self._drawn_light(block, figures, discs_lx)
         if melanopic is not None:
             unseen_lx = brightest[:, None] * coverage.unseen_illuminance
@@ -370,10 +372,8 @@ class HourJudge:
         off = drawn - figures["dgp"].astype(np.float32)  # [m, k, d]
         reach = 1.96 * np.nan_to_num(u_maps)  # 95 %
         low, high = np.percentile(off, (2.5, 97.5), axis=0)
-        low, high = minimum + np.minimum(low, 0.0) - reach, maximum + np.maximum(high, 0.0) + reach
-        similar = block.prediction.trusted[:, None]
-        figures["dgp_low"] = np.where(similar, np.clip(low, 0.0, 1.0), 0.0)
-        figures["dgp_high"] = np.where(similar, np.clip(high, 0.0, 1.0), 1.0)
+        figures["dgp_low"] = np.clip(minimum + np.minimum(low, 0.0) - reach, 0.0, 1.0)
+        figures["dgp_high"] = np.clip(maximum + np.maximum(high, 0.0) + reach, 0.0, 1.0)
         figures["u_dgp"] = np.hypot(u_maps, np.sqrt((off**2).mean(axis=0)))
         for values in figures.values():
             values[:, ~coverage.judged] = np.nan
@@ -385,7 +385,7 @@ class HourJudge:
             "expected_log10_mse": block.prediction.expected_mse,
             "disturbed_share": disturbed_share(figures["dgp"]),
         }
-        doubt = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps, similar)
+        doubt = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps)
         return HourFigures(hours, figures, doubt)
 
     def _drawn_light(
