@@ -174,7 +174,7 @@ def _nasty(outside: Path, rng: np.random.Generator) -> Any:
     up = "../../../outside/victim.txt"
     values: tuple[Any, ...] = (
         *(up, up[3:], up[6:], str(victim), str(outside), str(outside / "room.rad"), "/etc/passwd"),
-        *(f"rpicam:0?program={outside / 'program'}", f"replay:{outside}"),
+        f"rpicam:0?program={outside / 'program'}",
         *(f"serial:{victim}?kind=spn1", f"modbus:{victim}?kind={victim}.toml&unit=1"),
         *(f"sim:office?profile={victim}", "radiance", "..", ".", "", ".hidden", "a\\b", "C:x"),
         *("a\0b", "a\nb", "x" * 300, "\ud800", "!touch ran", "9999-99-99T00:00:00Z", "nan"),

@@ -80,6 +80,7 @@ def test_a_broken_room_is_named_and_passed_over(three_rooms: Path, tmp_path: Pat
     assert answer["passed_over"] == ["missing", "broken"]
     page = (tmp_path / "campaign" / "index.html").read_text(encoding="utf-8")
     assert "missing was skipped" in page and "worst direction" in page
+    assert "glare: 0 of 1; 1 cannot be decided yet." in page  # nearest states no uncertainty
 
 
 @pytest.mark.contract

@@ -392,3 +392,22 @@ def test_unusual_columns_are_named_by_the_command(session: Session, tmp_path: Pa
     )
     assert named.exit_code == 0 and "120 rows" in named.output
     assert {s.dhi_wm2 for s in rows_of(session)} == {0.0}
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(("ghi", "is_refused"), [(12, True), (0, False), (45, False)])
+def test_a_voltage_is_not_taken_for_irradiance(
+    session: Session, tmp_path: Path, ghi: float, is_refused: bool
+) -> None:
+    """In mV, by 20 uV per W/m2: 600 W/m2 are 12 mV, less than a storm transmits (5 %: 45 W/m2).
+
+    Zero is a dead instrument, which `pair` names.
+    """
+    row = f"2027-03-20T20:00:00Z,{ghi},700"  # the sun is 42 degrees high
+    (tmp_path / "a.csv").write_text(f"t_utc,ghi_wm2,dni_wm2\n{row}\n")
+    words = ["import", str(session.root), "--irradiance", str(tmp_path / "a.csv")]
+    done = CliRunner().invoke(main, words)
+    assert (done.exit_code == 3) == is_refused, done.output
+    if is_refused:
+        assert "ghi_wm2 is at most 12; expected over 1" in done.stderr
+        assert "state --sensitivity ghi_wm2=UV_PER_WM2" in done.stderr and not rows_of(session)

@@ -9,10 +9,12 @@ import sys
 from collections.abc import Callable
 from datetime import UTC, date, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from learning_room import dataset
 
 import fieldlum
 from fieldlum.core.errors import InputError
@@ -122,6 +124,36 @@ def test_glare_of_a_map_is_that_of_its_file(tmp_path: Path) -> None:
     on_disk = fieldlum.evaluate_glare(tmp_path / "a.exr", [180.0, 90.0])
     assert in_memory["views"] == on_disk["views"]
     assert in_memory["file"] == ""
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("wrong", "expected"),
+    [
+        ({"model": "transprot"}, "one of auto, .*; correct the name; did you mean 'transport'"),
+        ({"model": None}, "one of auto, mean, nearest, transport, dense"),
+        ({"patch": "foo"}, "one of absolute, gain, none"),
+    ],
+)
+def test_an_impossible_argument_of_fit_is_named(wrong: dict[str, Any], expected: str) -> None:
+    """A wrong name was a KeyError, and a wrong way to use sun patches was accepted."""
+    ((name, value),) = wrong.items()
+    with pytest.raises(InputError, match=f"{name}: {value!r}; expected {expected}"):
+        fieldlum.fit(dataset(("2027-03-20",)), **wrong)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("wrong", "expected"),
+    [
+        ({"capture_set": "9 day"}, "one of 9-day, .*did you mean '9-day'"),
+        ({"weather": "a.epw"}, "a weather year; call read_weather first"),
+    ],
+)
+def test_an_impossible_argument_of_a_plan_is_named(wrong: dict[str, Any], expected: str) -> None:
+    ((name, value),) = wrong.items()
+    with pytest.raises(InputError, match=f"{name}: {value!r}; expected {expected}"):
+        fieldlum.plan_captures(OFFICE, **wrong)
 
 
 @pytest.mark.slow

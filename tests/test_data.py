@@ -325,3 +325,25 @@ def test_warnings_of_an_estimated_sky_view_are_those_of_the_captures(
     monkeypatch.setattr(training_data, "sky_view_of", lambda *_: view)
     data = training_data.with_sky_view(replace(DATA, sky_view=None))
     assert data.notes == (*DATA.notes, "WARNING: the sky in the window")
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("cdm2", [0.0, 0.05])
+def test_pictures_without_light_are_named_and_not_learnt(tmp_path: Path, cdm2: float) -> None:
+    """With a lens cap on throughout, train once ended in a LinAlgError."""
+    capped = DATA.luminance_cdm2.copy()
+    capped[1:3] = cdm2
+    some = load_pairs(write_pairs(tmp_path, replace(DATA, luminance_cdm2=capped)))
+    assert some.slots == DATA.slots[:1] + DATA.slots[3:]
+    assert any(f"dark by day: {', '.join(DATA.slots[1:3])}: check" in n for n in some.notes)
+    path = write_pairs(tmp_path, replace(DATA, luminance_cdm2=np.full_like(capped, cdm2)))
+    with pytest.raises(InputError, match=f"no light in {len(DATA)} pictures; expected .*; check"):
+        load_pairs(path)
+
+
+@pytest.mark.contract
+def test_pictures_without_any_edge_are_no_room(tmp_path: Path) -> None:
+    data = dataset(("2027-03-20",), height=40)
+    flat = replace(data, luminance_cdm2=np.full_like(data.luminance_cdm2, 50.0))
+    with pytest.raises(InputError, match="no two pictures have the same edges; expected several"):
+        load_pairs(write_pairs(tmp_path, flat))

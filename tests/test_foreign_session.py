@@ -157,7 +157,6 @@ def test_an_address_of_a_device_needs_no_permission(address: str) -> None:
     "address",
     [
         "rpicam:0?program=reboot",
-        "replay:/home/me/pictures",
         "sim:office?profile=/home/me/camera.toml",
         "sim:office?profile=camera.toml",
         "theta:http://10.0.0.1",
@@ -558,7 +557,11 @@ def test_a_record_that_cannot_be_written_does_not_end_a_command(tmp_path: Path) 
 
     (tmp_path / "settings").write_text("a file in place of the folder")
     session = make_session(tmp_path / "s")
-    assert device_uris(session, "replay:pictures", "", "") == ("replay:pictures", "", "")
+    assert device_uris(session, "theta:http://10.0.0.1", "", "") == (
+        "theta:http://10.0.0.1",
+        "",
+        "",
+    )
 
 
 # ----------------------------------------------------------------------------------------------

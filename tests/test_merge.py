@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldlum.core.errors import InputError
+from fieldlum.core.progress import shown_by
 from fieldlum.core.records import Exposure, Flag, Panorama, SunSource
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
@@ -22,7 +23,7 @@ from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, MergeResult, Shot, merge_shots
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.linear_frames import JpegSignal, RawSignal, lens_crop, load_raw
-from fieldlum.merge.project import LensView, blend
+from fieldlum.merge.project import LensView, blend, resampler
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.merge.sun_and_sky import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.optics.illuminance import vertical_illuminance_lx
@@ -529,3 +530,15 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
     canon = load_camera_profile("canon-5d2-8mm-f5.6")
     with pytest.raises(InputError, match="k is not calibrated for other apertures"):
         sorted_shots([Shot(tmp_path / "a.jpg", Exposure(0.1, 8.0))], canon)
+
+
+@pytest.mark.contract
+def test_every_phase_of_a_merge_shows_its_progress(
+    bracket: Callable[..., tuple[list[Shot], CameraProfile]],
+) -> None:
+    """Only the reading of frames did; merging and projecting take twice as long."""
+    shown: set[str] = set()
+    resampler.cache_clear()
+    with shown_by(lambda _, __, text: shown.add(text)):
+        merge(*bracket("sim-fisheye"))
+    assert {"frames", "merging rows", "projecting rows"} <= shown

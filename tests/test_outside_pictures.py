@@ -435,6 +435,9 @@ def test_several_parts_are_refused_until_one_is_named(tmp_path: Path, case: str)
         assert view == ""
     with pytest.raises(InputError, match=f"no part nothing; expected one of {listed}"):
         read_exr(path, "nothing")
+    for name in {str(part.name()) for part in make()} - set(expected):  # depth, deep data, layers
+        with pytest.raises(InputError, match=rf"part {name} is not one flat .*: channels {name}\."):
+            read_exr(path, name)
 
 
 @pytest.mark.authority
@@ -457,6 +460,11 @@ def test_layers_next_to_plain_channels_are_named(tmp_path: Path) -> None:
     assert picture.luminance_cdm2 == pytest.approx(7)
     assert "the EXR has further layers: diffuse" in picture.attributes["note"]
     assert read_exr(path, "diffuse")[0].luminance_cdm2 == pytest.approx(1)
+    with pytest.raises(InputError, match=r"part normal is not one .* normal\.X, normal\.Y"):
+        read_exr(path, "normal")
+    OpenEXR.File([_part("", _planes(7))]).write(str(path))
+    with pytest.raises(InputError, match=r"no part depth; expected no name: .*; omit --part"):
+        read_exr(path, "depth")
 
 
 @pytest.mark.contract

@@ -278,3 +278,14 @@ def test_today_is_the_sites_own() -> None:
     assert sun.standard_date(datetime(2027, 7, 1, 7, 30, tzinfo=UTC), SEATTLE.timezone) == date(
         2027, 6, 30
     )
+
+
+@pytest.mark.contract
+def test_session_toml_records_what_a_plan_can_be_made_from_again() -> None:
+    request = plan.Request("even", TODAY, days=9, count=5, seed=7)
+    about = plan.make_plan(SiteFile(SEATTLE, CameraSetup()), request).about(request)
+    assert {name: about.get(name) for name in ("set", "days", "count", "seed", "year")} == {
+        **{"set": "even", "days": 9, "count": 5, "seed": 7, "year": None}
+    }
+    request = plan.Request("4-day", TODAY)  # nothing in it is drawn
+    assert "seed" not in plan.make_plan(SiteFile(SEATTLE, CameraSetup()), request).about(request)

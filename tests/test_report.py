@@ -248,6 +248,7 @@ def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path:
                 xr.open_zarr(year.folder / "maps.zarr", consolidated=False)["trusted"] == trusted
             ).all()
             assert (predict.read_annual(year.folder).hours["trusted"] == trusted).all()
+            assert not any(row.certain for row in year.summary.protection)
         first_screen = annual_page.warnings_of(session, year)
         assert any(f"From training: {warning[9:40]}" in text for text in first_screen)
 
@@ -328,19 +329,22 @@ def test_a_camera_that_is_not_calibrated_is_named_above_the_findings(
 def test_the_headline_advises_only_what_the_captures_and_the_weather_support(
     row: DirectionYear, synthetic: bool, lead: str
 ) -> None:
-    rows = (structs.replace(row, dgp_exceeded=0.3, low=0.2, high=0.5, hours_over={"0.40": 9}),)
-    summary = PredictFile(weather=YearWeather("w", synthetic), protection=rows)
-    headline, _ = annual_page.best_direction(
-        predict.Annual((), np.zeros(1), {}, {}, Path("x"), summary)
-    )
-    assert headline.startswith(lead), headline
+    stated = structs.replace(row, dgp_exceeded=0.3, low=0.2, high=0.5, hours_over={"0.40": 9})
+    unstated = structs.replace(stated, certain=False, low=None, high=None)
+    headlines = []
+    for each in (stated, unstated):
+        summary = PredictFile(weather=YearWeather("w", synthetic), protection=(each,))
+        year = predict.Annual((), np.zeros(1), {}, {}, Path("x"), summary)
+        headlines.append(annual_page.best_direction(year)[0])
+    assert headlines[0].startswith(lead), headlines
+    assert "Sit" not in headlines[1] and "cannot state a confidence" in headlines[1]
 
 
 @pytest.mark.analytic
 def test_the_camera_s_scale_is_in_the_shares_of_glare_hours() -> None:
     """DGP of 0.42 with an Ev of 4000 lx: 20 % less light (1.96 of 10 %) is a DGP below 0.38."""
     hours: dict[str, Floats] = {"occupied": np.ones(10), "trusted": np.ones(10)}
-    values = {"dgp": 0.42, "dgp_low": 0.42, "dgp_high": 0.42, "ev_lx": 4000.0}
+    values = {"dgp": 0.42, "dgp_low": 0.42, "dgp_high": 0.42, "u_dgp": 0.0, "ev_lx": 4000.0}
     views = {name: np.full((10, 1), value) for name, value in values.items()}
     times = tuple(datetime(2027, 3, 1, h, 30, tzinfo=UTC) for h in range(10))
     summary = PredictFile(occupancy=YearOccupancy(hours=10, lit=10))
@@ -348,6 +352,8 @@ def test_the_camera_s_scale_is_in_the_shares_of_glare_hours() -> None:
     assert annual_page.disturbed(sure) == ["yes"]
     unsure = replace(sure, summary=structs.replace(summary, u_scale_rel=0.1))
     assert annual_page.disturbed(unsure) == ["cannot tell"]
+    without_u = replace(sure, views=views | {"u_dgp": np.full((10, 1), np.nan)})
+    assert annual_page.disturbed(without_u) == ["cannot tell"]
 
 
 @pytest.mark.analytic

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
 
 from fieldlum import weather
+from fieldlum.cli import main
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.core.records import Site
 from fieldlum.sky import sun
@@ -462,3 +464,24 @@ def test_measured_tmy3_files_pass() -> None:
     ):
         found = weather.read_weather(data / name, place)
         assert len(found) == 8760 and not found.repairs
+
+
+@pytest.mark.contract
+def test_info_names_a_weather_file_and_its_command(tmp_path: Path) -> None:
+    """LibRaw was once named as the reader of an .epw."""
+    _write_epw(tmp_path / "c.epw", _year())
+    result = CliRunner().invoke(main, ["info", str(tmp_path / "c.epw")])
+    assert result.exit_code == 3 and "LibRaw" not in result.stderr
+    assert "c.epw: a weather file; expected a frame" in result.stderr
+    assert "read it with: fieldlum predict MODELDIR --weather FILE" in result.stderr
+
+
+@pytest.mark.contract
+def test_info_names_the_kind_of_another_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.pdf"
+    path.write_bytes(b"%PDF-1.4")
+    result = CliRunner().invoke(main, ["info", str(path)])
+    assert result.exit_code == 3
+    assert (
+        "a.pdf: a PDF; expected a frame, picture" in result.stderr and "LibRaw" not in result.stderr
+    )

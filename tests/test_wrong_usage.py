@@ -153,7 +153,7 @@ CASES = [
     ("plan @/session --set 9-day --out @/s1", "a folder: a new plan needs a SITE.toml", 2),
     ("plan @/true.JPG --set 9-day --out @/s1", "a JPEG picture; expected a TOML", 3),
     ("plan @/good.toml --set 9-day --weather @/true.JPG --out @/s1", "JPEG picture.*EPW", 3),
-    ("plan @/good.toml --set 9-day --out @/session/raw", "inside the session", 3),
+    ("plan @/good.toml --set 9-day --out @/session/raw", "what was captured", 3),
     ("plan @/good.toml --set 9-day --out=", "an empty text; expected a path", 2),
     ("plan @/good.toml --replan", "this is a file; expected a session folder", 3),
     ("new @/n.toml --camera @/good.toml", "a SITE.toml; expected a camera profile", 3),
@@ -218,7 +218,7 @@ CASES = [
     ("bench @/sky.csv --site @/good.toml --out @/b", "no column panorama", 3),
     ("simulate @/body.toml --out @/s2", "a camera profile; expected a SITE.toml", 3),
     ("campaign report @/body.toml", "a camera profile; expected a file with the tables", 3),
-    ("info @/a.pdf", "a PDF; expected a raw file", 3),
+    ("info @/a.pdf", "a PDF; expected a frame", 3),
     ("calibrate lens @/true.JPG --camera @/body.toml --out @/c.toml", "or --circle", 2),
     (
         "calibrate lens @/true.JPG --circle --camera @/body.toml --out @/c.toml",

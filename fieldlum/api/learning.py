@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from numpy.typing import ArrayLike
 
 from fieldlum.api.measurement import path_of, place
-from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.errors import InputError, input_errors, require_name
 from fieldlum.core.records import Site, SiteFile, parse_utc
 from fieldlum.session import Session
 from fieldlum.sky import daylight
@@ -212,10 +212,8 @@ def fit(
     NotEnoughDataError
         Fewer than two usable hours, or too few hours or too little time for the named model.
     InputError
-        `data` is not the result of `load_pairs`, its room is impossible, or `out` cannot be
-        written.
-    KeyError
-        No model has the name `model`.
+        `data` is not the result of `load_pairs`, its room is impossible, `out` cannot be written,
+        or another argument is not possible; the error lists the names.
 
     Examples
     --------
@@ -224,10 +222,14 @@ def fit(
     'transport'
     """
     from fieldlum.learn import train
+    from fieldlum.learn.model_kinds import MODELS
+    from fieldlum.learn.models import Patch
     from fieldlum.learn.models.training_data import Dataset
 
     if not isinstance(data, Dataset):
         raise InputError("data", f"{data!r:.60}", "pairs from fieldlum.load_pairs", "call it first")
+    require_name("model", model, ("auto", *MODELS))
+    require_name("patch", patch, get_args(Patch))
     with nullcontext(out) if out is not None else TemporaryDirectory() as where:
         folder = path_of(where, "out")
         train.run(data, model, budget_min=budget_min, patch=patch, seed=seed, out=folder)

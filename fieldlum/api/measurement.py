@@ -16,6 +16,7 @@ from fieldlum.optics import images, profiles
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.plan import Plan
 from fieldlum.session import Session, site_toml
+from fieldlum.session.folder import refuse_captured
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.weather import Weather
 from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
@@ -24,9 +25,12 @@ from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
 def path_of(value: object, what: str = "file") -> Path:
     """Return a value as a path.
 
-    what: name of the value in errors. Raises InputError if it is neither a text nor a path.
+    what: name of the value in errors. Raises InputError if it is neither a text nor a path, and for
+    an "out" among the captures of a session.
     """
     if isinstance(value, str | os.PathLike):
+        if what == "out":
+            refuse_captured(Path(value))
         return Path(value)
     found = f"a value of type {type(value).__name__}"
     raise InputError(what, found, "a path, as text or Path", "pass its path")
@@ -276,6 +280,8 @@ def plan_captures(
     for name, day in (("start", start), ("today", today)):
         if not isinstance(day, date | None):
             raise InputError(name, repr(day), "a datetime.date", "pass date(2027, 3, 20)")
+    if not isinstance(weather, Weather | None):
+        raise InputError("weather", f"{weather!r:.60}", "a weather year", "call read_weather first")
     setup = site if isinstance(site, SiteFile) else load_site(site)
     counted_from = today or plan.today_at(setup.site, datetime.now(UTC))
     request = plan.Request(capture_set, counted_from, start, year, days, count)

@@ -18,6 +18,7 @@ import numpy as np
 from fieldlum.core import strict_csv
 from fieldlum.core.arrays import Floats, Floats32, Integers, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.progress import progress
 from fieldlum.core.records import Exposure, Flag, Panorama
 from fieldlum.core.statistics import held_out_masks, is_no_worse, robust_sigma, standard_error
 from fieldlum.optics import linear_light
@@ -92,10 +93,11 @@ def fit_and_choose(
     that cannot be predicted. what: name of the fit; unit: of the root of the errors, "%" of a
     share. negligible: a model whose rms is larger by at most this counts as equal to the best.
     """
-    candidates = []
-    for name, size, model in models:
+    candidates, parts = [], [*folds(groups)]
+    for k, (name, size, model) in enumerate(models):
         squares = np.full(len(groups), np.nan)
-        for held in folds(groups):
+        for fold, held in enumerate(parts):
+            progress(k * len(parts) + fold, len(models) * len(parts), f"{what}: {name}")
             squares[held] = errors(model, solve(model, ~held), held)
         candidates.append((name, size, squares[np.isfinite(squares)]))
     choice = choose(what, candidates, unit, negligible)

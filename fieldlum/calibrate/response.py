@@ -12,6 +12,7 @@ from fieldlum.calibrate.fit_charts import Chart
 from fieldlum.calibrate.fit_steps import OrderSelection, fit_and_choose, require
 from fieldlum.core.arrays import Floats, Indices, Mask, UInts8
 from fieldlum.core.errors import InputError
+from fieldlum.core.progress import progress
 from fieldlum.core.records import Exposure
 from fieldlum.core.statistics import median_standard_error, robust_sigma
 from fieldlum.optics.camera_curves import dark_floor, fit_response, response_table
@@ -259,7 +260,8 @@ def _flat_places(
     inside = np.min(at, axis=0) < 0.95
     y, x = y[inside], x[inside]
     levels, spreads, exposures = [], [], []
-    for path in paths:
+    for number, path in enumerate(paths):
+        progress(number, len(paths), f"reading {path.name}")
         frame = read_jpeg(path, camera_pixels=profile.camera.pixels)
         check_frame(path, frame.codes.shape, frame.model, profile)
         exposures.append(frame.exposure)

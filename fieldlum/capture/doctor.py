@@ -266,7 +266,7 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> Iterator[Find
         exposures = dict.fromkeys(e for slot in ahead for e in slot.exposures)
         frames = sum(len(slot.exposures) for slot in ahead) * max(len(setup.headings), 1)
         yield from judge_camera(camera.info, uri, frames)
-        if setup.headings and camera.info.kind not in ("sim", "replay"):
+        if setup.headings and camera.info.kind != "sim":
             yield fail("headings", "capture cannot turn this camera, so each bracket would abort")
         yield from judge_exposures(devices.not_offered(camera, exposures), len(exposures))
         yield from judge_model(camera.info, profiles.load_camera_profile(setup.profile))
@@ -287,10 +287,10 @@ def judge_model(info: devices.CameraInfo, profile: profiles.CameraProfile) -> It
     """Yield a warning if the camera's model is not that of the profile, else nothing.
 
     Frames of another camera cannot be merged, and the planned exposures may be impossible.
-    Simulated and replayed cameras, and unknown models, are not compared.
+    Simulated cameras and unknown models are not compared.
     """
     model, body = info.model, profile.camera
-    is_known = model and body.model and info.kind not in ("sim", "replay")
+    is_known = model and body.model and info.kind != "sim"
     if is_known and not same_model(model, body.model):
         text = f"{model} is not the camera of profile {body.name} ({body.model}), for which the "
         text += f"exposures were planned: use a profile of the {model}, and plan again"

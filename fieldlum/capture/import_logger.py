@@ -12,13 +12,22 @@ from pathlib import Path
 from typing import cast
 from zoneinfo import ZoneInfo
 
+import numpy as np
+
 from fieldlum.capture.match_card import Report
+from fieldlum.core.arrays import evenly_spread
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import IrradianceSample, utc_text
+from fieldlum.core.records import IrradianceSample, Site, utc_text
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
 from fieldlum.session import Session, replacing, replacing_path, sole_user, update_session
 from fieldlum.session.day_files import DAY_COLUMNS, DayFiles, day_files, encode_sample, read_day
 from fieldlum.session.folder import LoggerFileTable
+from fieldlum.sky import sun
+
+# Of the irradiance above the atmosphere. The darkest storm transmits 5 % (`sun.too_weak`). Of 1
+# W/m2, a thermopile gives 0.005 to 0.02 mV (ISO 9060 instruments), which a clear sky scales by 0.8.
+# The share holds for a sun above 10 degrees.
+_DARKEST_SHARE, _HIGH_SUN_SINE = 0.02, 0.17
 
 
 def import_rows(
@@ -44,6 +53,9 @@ def import_rows(
     if utc_offset_s is not None:
         times = [s.t_utc + timedelta(seconds=utc_offset_s) for s in logger_file.samples]
         _check_civil_time(path, times, ZoneInfo(session.site_file().site.timezone))
+    for quantity in sorted({"ghi_wm2", "dhi_wm2"} - set(sensitivities or ())):
+        if rows := [s for s in logger_file.samples if getattr(s, quantity) is not None]:
+            _refuse_voltage(path, rows, quantity, session.site_file().site)
     before = session.table().get("logger_files", [])
     withdrawn = 0
     with sole_user(session, "log"):
@@ -57,6 +69,25 @@ def import_rows(
     left_out = tuple(f"{path}: {text}" for text in logger_file.left_out)
     notes = tuple(f"{path}: {text}" for text in logger_file.notes)
     return Report(rows=added, withdrawn=withdrawn, left_out=left_out, notes=notes)
+
+
+def _refuse_voltage(
+    path: Path, rows: Sequence[IrradianceSample], quantity: str, site: Site
+) -> None:
+    """Raise InputError if an irradiance is too small for any sky, as a voltage is.
+
+    rows: those of the file that have the quantity; quantity: ghi_wm2 or dhi_wm2; site: of the
+    session. The largest value is compared with the highest sun of up to 1000 rows.
+    """
+    some_utc = [rows[k].t_utc for k in evenly_spread(len(rows), 1000)]
+    sine = np.sin(np.radians(sun.position(some_utc, site).altitude_deg))
+    least_wm2 = float(_DARKEST_SHARE * (sun.extraterrestrial_wm2(some_utc) * sine).max())
+    largest_wm2 = max(getattr(row, quantity) for row in rows)
+    if sine.max() > _HIGH_SUN_SINE and 0.0 < largest_wm2 < least_wm2:
+        found = f"{quantity} is at most {largest_wm2:.3g}"
+        expected = f"over {least_wm2:.0f} W/m2 by day, even under the darkest cloud"
+        remedy = f"if it is a voltage, state --sensitivity {quantity}=UV_PER_WM2; else check unit"
+        raise InputError(path, found, expected, f"{remedy}, clock and instrument")
 
 
 def _check_civil_time(path: Path, times: Sequence[datetime], zone: ZoneInfo) -> None:

@@ -89,7 +89,8 @@ def _run(
     from fieldlum.optics.profiles import load_camera_profile
 
     profile = load_camera_profile(camera)
-    new = fit(profile, **own)
+    with terminal.progress("calibrate"):
+        new = fit(profile, **own)
     terminal.notes(new.notes)
     if picture:
         draw(new.chart, picture)

@@ -75,9 +75,9 @@ def command(
     if pyranometer is None and not pyranometer_uri:
         terminal.say("note: no --pyranometer: irradiance is not logged")
     used = [uri for uri in (camera_uri, pyranometer_uri, meter_uri) if uri]
-    real = [uri for uri in used if not uri.startswith(("sim:", "replay:"))]  # of real devices
+    real = [uri for uri in used if not uri.startswith("sim:")]
     if clock == "fast" and real:
-        raise click.UsageError(f"--clock fast is for sim: and replay: devices, not {real[0]}")
+        raise click.UsageError(f"--clock fast is for sim: devices, not {real[0]}")
     ticking, options = capture.prepare(session, fast=clock == "fast")
     grace = options.grace_s if grace_s is None else grace_s
     options = replace(options, grace_s=grace, log_every_s=every_s)

@@ -5,7 +5,7 @@ from typing import Any
 
 from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import emit_json, say, tell
-from fieldlum.core.errors import InputError, did_you_mean
+from fieldlum.core.errors import InputError, did_you_mean, kind_of
 from fieldlum.core.files import read_bytes
 
 Facts = dict[str, Any]  # facts about a file by name, as --json prints them
@@ -62,6 +62,7 @@ def describe(path: Path, part: str = "") -> Facts:
     invalid or of an unknown kind, OSError if a csv cannot be read.
     """
     from fieldlum.optics.profiles import camera_names, find_camera_profile
+    from fieldlum.optics.raw import RAW_SUFFIXES
     from fieldlum.session.codec import warn_if_changed
 
     if not path.exists() and str(path) in camera_names():
@@ -76,7 +77,14 @@ def describe(path: Path, part: str = "") -> Facts:
     if suffix == ".exr":
         return _exr(path, part)
     readers = {".hdr": _radiance, ".toml": _toml, ".csv": _csv, ".jpg": _jpeg, ".jpeg": _jpeg}
-    return readers.get(suffix, _raw)(path)
+    readers |= dict.fromkeys(RAW_SUFFIXES, _raw)
+    if suffix in readers:
+        return readers[suffix](path)
+    found = kind_of(read_bytes(path)[:64]) or "a file of an unknown kind"
+    expected, remedy = "a frame, picture, profile, csv, or folder", "name such a file"
+    if suffix in (".epw", ".tm2", ".wea"):
+        found, remedy = "a weather file", "read it with: fieldlum predict MODELDIR --weather FILE"
+    raise InputError(path, found, expected, remedy)
 
 
 def _size(picture: Any) -> str:

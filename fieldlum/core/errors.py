@@ -12,7 +12,7 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -79,6 +79,13 @@ def did_you_mean(text: str, names: Iterable[str]) -> str:
     near = [name for name in valid if text and name.startswith(text)]
     near = near or get_close_matches(text, valid, n=1)
     return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def require_name(what: str, name: object, names: Sequence[str]) -> None:
+    """Raise InputError unless `name` is one of `names`; what: the argument or option."""
+    if name not in names:
+        near = did_you_mean(str(name), names)
+        raise InputError(what, repr(name), f"one of {', '.join(names)}", f"correct the name{near}")
 
 
 def install_text(extra: str) -> str:

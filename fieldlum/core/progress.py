@@ -38,11 +38,18 @@ def shown_by(show: Progress) -> Iterator[None]:
 
 
 @contextmanager
-def part_of_progress(number: int, count: int) -> Iterator[None]:
+def part_of_progress(number: int, count: int, what: str = "") -> Iterator[None]:
     """Let a `with` block's progress count as that of part `number` (from 0) of `count` equal parts.
 
-    The progress of all parts together then has one scale.
+    The progress of all parts together then has one scale, of 1000 steps. what: text before that of
+    the part.
     """
     show = _SHOW.get()
-    with shown_by(lambda done, total, text: show(number * total + done, count * total, text)):
+
+    def show_part(finished: int, total: int, text: str) -> None:
+        """Show the progress of the part as that of all parts; the arguments are of `Progress`."""
+        share = (number + finished / max(total, 1)) / count
+        show(round(1000 * share), 1000, what + text)
+
+    with shown_by(show_part):
         yield

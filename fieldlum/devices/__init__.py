@@ -4,7 +4,6 @@
     gphoto:  gphoto:Nikon                 a tethered camera
     theta:http://192.168.1.1              a Ricoh Theta
     rpicam:0?f_number=2.0                 a Raspberry Pi camera
-    replay:FOLDER                         frames that were taken before
     serial:/dev/serial/by-id/...?kind=spn1
     serial:/dev/serial/by-id/...?kind=ascii&profile=arduino-json
     modbus:/dev/serial/by-id/...?kind=smp&unit=1
@@ -250,7 +249,7 @@ def parse_uri(text: str) -> DeviceUri:
 
 # Module of fieldlum.devices by scheme of the URI; its `open_camera`, `open_meter` or
 # `open_pyranometer` opens the device. A module is imported only when its scheme is used.
-CAMERAS = {"sim": "simulated"} | {name: name for name in ("gphoto", "theta", "rpicam", "replay")}
+CAMERAS = {"sim": "simulated"} | {name: name for name in ("gphoto", "theta", "rpicam")}
 METERS = {"cl200a": "cl200a", "t10a": "cl200a"}
 PYRANOMETERS = {"sim": "simulated", "serial": "ascii_lines", "modbus": "modbus"}
 

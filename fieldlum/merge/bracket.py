@@ -11,6 +11,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Integers
 from fieldlum.core.errors import InputError
+from fieldlum.core.progress import part_of_progress
 from fieldlum.core.records import Flag, JsonTable, Panorama
 from fieldlum.merge.project import blend, finished_map, view_through
 from fieldlum.merge.ratios import Exposures, any_beyond_prior
@@ -276,7 +277,8 @@ def merge_shots(
         image, part = merge_sensor(list(group), profile, fit=options.fit, turn_deg=turn_deg)
         images.append(image)
         findings.append(part)
-    views = [view_through(image, lens, target) for image in images for lens in profile.lens]
+    with part_of_progress(2, 3):
+        views = [view_through(image, lens, target) for image in images for lens in profile.lens]
     seen = blend(views)
     panorama = finished_map(seen, profile, target, heading_deg=heading_deg, t_utc=middle_of(shots))
     assert panorama.flags is not None  # by `finished_map`

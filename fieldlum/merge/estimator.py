@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.core.arrays import Floats32, Mask, UInts8
+from fieldlum.core.progress import progress
 from fieldlum.core.records import Flag
 from fieldlum.merge.linear_frames import Signal
 
@@ -71,6 +72,7 @@ def merge_signals(
     # elements that fit in a core's cache; decides speed only
     step = max(1, (1 << 17) // int(np.prod(shape[1:])))
     for first in range(0, shape[0], step):
+        progress(first, shape[0], "merging rows")
         rows = slice(first, min(first + step, shape[0]))
         strips = [FramePixels(signal, *signal.strip(rows.start, rows.stop)) for signal in frames]
         value[rows], variance[rows], flags[rows] = merge_pixels(strips, u_ratio)

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, UInts8
+from fieldlum.core.progress import progress
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Flag, Panorama
 from fieldlum.merge.sensor_frames import SensorImage
 from fieldlum.optics import melanopic
@@ -179,6 +180,7 @@ def resampler(
     blocks: dict[str, list[Any]] = {colour: [] for colour in sorted(set(cfa)) or [""]}
     of_pixels = []
     for first in range(0, height, step):
+        progress(first, height, "projecting rows")
         rows = (first, min(first + step, height))
         samples = _samples(target, lens, sensor_shape, rows, sub, 1.5 if cfa else 0.75)
         of_pixels.append((samples.coverage, samples.angle_rad))

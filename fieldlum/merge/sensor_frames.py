@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask, UInts8
+from fieldlum.core.progress import part_of_progress
 from fieldlum.core.records import Flag
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import FramePixels, Merged, merge_signals
@@ -217,7 +218,8 @@ def merge_sensor(
     shots, absent = _without_absent_filters(shots, profile, crop)
     nominal_s = [shot.exposure.shutter_s for shot in shots]
     law = stated_law(nominal_s, profile.shutter_law, profile.camera.model)
-    frames, saturation = read_frames(shots, replace(profile, shutter_law=law.law), crop)
+    with part_of_progress(0, 3):  # merging the frames and projecting the map are the other two
+        frames, saturation = read_frames(shots, replace(profile, shutter_law=law.law), crop)
     lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]
     names = [shot.path.name for shot in shots]
     turns = turns_between([frame.reduced_frame() for frame in frames], lenses, names)
@@ -226,7 +228,8 @@ def merge_sensor(
     noise = noise_factors(samples, exposures.fit.correction) if fits else NOISE_OF_PROFILE
     frames = [_with_noise(signal, noise) for signal in frames]
     shape = (crop.height // 2, 2, crop.width) if is_raw else (crop.height, crop.width, 3)
-    merged = merge_signals(frames, shape, u_ratio=exposures.tolerance)
+    with part_of_progress(1, 3):
+        merged = merge_signals(frames, shape, u_ratio=exposures.tolerance)
     good, f_number = good_pixels(profile, crop, merged.flags), shots[0].exposure.f_number
     image = SensorImage(merged, profile, crop, turn_deg, f_number, exposures.u_curve, good)
     return image, Findings(tuple(shots), exposures, saturation, noise, tuple(turns), absent)

@@ -63,7 +63,7 @@ class Plan:
     def about(self, request: Request) -> PlanTable:
         """Return the table [plan] of session.toml, of revision 0.
 
-        request: that of this plan, of which set and the stated start, year and count are recorded.
+        request: that of this plan, of which the stated options are recorded, and the seed of even.
         """
         table: PlanTable = {
             "set": request.set,
@@ -75,7 +75,8 @@ class Plan:
             "megabytes_per_slot": self.megabytes_per_slot,
             "sun_band_percent": round(self.coverage.sun_band_percent, 1),
         }
-        stated = {name: getattr(request, name) for name in ("start", "year", "count")}
+        stated = {name: getattr(request, name) for name in ("start", "year", "days", "count")}
+        stated["seed"] = request.seed if request.set == "even" else None
         return table | {name: v for name, v in stated.items() if v is not None}  # type: ignore
 
 

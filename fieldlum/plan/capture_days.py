@@ -13,7 +13,7 @@ from datetime import UTC, date, datetime, timedelta
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Indices, Ints64, Mask
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import require_name
 from fieldlum.core.records import Room, Site, Slot
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import light_at
@@ -125,9 +125,7 @@ def days_of_set(
         equinoxes, half = (0,) if year is not None else (0, 2), count // 2
         middle = _event_dates(equinoxes, half, today, year, site)[0]
         return span(middle - timedelta(days=half), count)
-    if name not in HOUR_SETS:
-        sets = ", ".join((*EVENT_SETS, "month", *HOUR_SETS))
-        raise InputError("capture_set", repr(name), f"one of {sets}", "correct the name")
+    require_name("capture_set", name, (*EVENT_SETS, "month", *HOUR_SETS))
     first = start or (date(year, 1, 1) if year is not None else today)
     return span(first, days or 365)
 

@@ -109,12 +109,11 @@ def overview_of(folder: Path, name: str) -> RoomOverview:
 
     folder: of CAMPAIGN.toml; name: the session's folder, as the file states it. No error is raised.
     """
-    from fieldlum.session.slot_states import slots_ahead
     from fieldlum.session.stage_status import stage_status
 
     try:
         session = open_session(folder / name)
-        stages, pairs = stage_status(session), PairsFile.find(session.pairs)
+        stages, pairs = stage_status(session, datetime.now(UTC)), PairsFile.find(session.pairs)
         annual, capture = newest_annual(session), stages["capture"]
         year = PredictFile() if annual is None else annual.summary
         best, worst = best_and_worst(year.protection) or (None, None)
@@ -122,7 +121,7 @@ def overview_of(folder: Path, name: str) -> RoomOverview:
             name,
             captured=capture["done"],
             planned=stages["plan"]["slots"],
-            to_do=len(slots_ahead(session, datetime.now(UTC))),
+            to_do=capture["owed"],
             usable=len(pairs.usable),
             failed=capture["missed"] + capture["aborted"] + len(pairs.refused),
             occupied_hours=year.occupancy.hours,
@@ -153,13 +152,14 @@ def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
     """Return the overview of the rooms as HTML; name: of the campaign."""
     broken = [room for room in rooms if room.broken]
     worst = [room.worst for room in rooms if room.worst is not None]
-    bad = sum(direction.glare_class == "none" for direction in worst)
-    answer = f"Rooms with a view direction without protection from glare: {bad} of {len(worst)}."
+    bad = sum(direction.certain and direction.glare_class == "none" for direction in worst)
+    unsettled = f"{sum(not direction.certain for direction in worst)} cannot be decided yet"
+    answer = f"Rooms with a view direction without protection from glare: {bad} of {len(worst)}"
     facts = [("rooms", f"{len(rooms)}"), ("predicted years", f"{len(worst)}")]
     failed = f"{counted(sum(room.failed for room in rooms), 'slot')} failed"
     why = f"{failed}; {counted(len(broken), 'session')} could not be read."
     skipped = [f"{room.session} was skipped. {room.broken}" for room in broken]
-    return render(Page(name, answer, why, facts, [_table(rooms)], skipped))
+    return render(Page(name, f"{answer}; {unsettled}.", why, facts, [_table(rooms)], skipped))
 
 
 def _table(rooms: Sequence[RoomOverview]) -> Section:

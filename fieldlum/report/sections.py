@@ -49,7 +49,8 @@ def best_direction(annual: Annual) -> tuple[str, str]:
     hidden = [direction_name(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
     unseen = f"No result for views to {', '.join(hidden)}: the camera saw less than half of them. "
     advice = f"facing {direction_name(best.azimuth_deg)}: {_class_words(best)}."
-    doubtful = best.glare_class == "none" or (best.seen == PARTLY_SEEN and not best.certain)
+    is_open = best.low is None or best.seen == PARTLY_SEEN
+    doubtful = best.glare_class == "none" or (is_open and not best.certain)
     lead = "Least glare" if doubtful or annual.summary.weather.synthetic else "Sit"
     if annual.summary.weather.synthetic:
         lead = f"In a synthetic year only, {lead.lower()}"
@@ -71,7 +72,7 @@ def _class_words(row: DirectionYear) -> str:
     if row.seen == PARTLY_SEEN and not row.certain:
         words += " for the seen part of the view"
     if row.low is None:
-        return f"{words}; this model cannot state a confidence"
+        return f"{words} is likeliest, but this model cannot state a confidence"
     return words if row.certain else f"{words} is likeliest, but the captures do not decide it yet"
 
 
@@ -126,12 +127,13 @@ def _hours_over(annual: Annual, limit: float) -> list[Share]:
     """Return the share of the occupied hours whose DGP exceeds a limit, for each direction.
 
     limit: of DGP. The interval of a share includes the uncertainty of the camera's scale, which the
-    intervals of single hours do not.
+    intervals of single hours do not. An hour without a stated uncertainty can have any DGP.
     """
     count = max(annual.summary.occupancy.hours, 1)  # dark hours too, which have no glare
-    names = ("dgp", "dgp_low", "dgp_high", "ev_lx")
-    dgp, low, high, ev_lx = (annual.views[name][annual.occupied] for name in names)  # [n, d]
-    low, high = np.where(np.isnan(low), dgp, low), np.where(np.isnan(high), dgp, high)
+    names = ("dgp", "dgp_low", "dgp_high", "u_dgp", "ev_lx")
+    dgp, low, high, u_dgp, ev_lx = (annual.views[n][annual.occupied] for n in names)  # [n, d]
+    is_open = np.isnan(low + high + u_dgp)
+    low, high = np.where(is_open, 0.0, low), np.where(is_open, 1.0, high)
     of_scale = 1.96 * annual.summary.u_scale_rel * dgp_per_scale(dgp, ev_lx)
     low, high = dgp - np.hypot(dgp - low, of_scale), dgp + np.hypot(high - dgp, of_scale)
     shares = np.stack([100.0 * (hours > limit).sum(axis=0) / count for hours in (dgp, low, high)])

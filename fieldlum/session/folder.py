@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import date, timedelta
+from datetime import date, datetime, timedelta
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal, Required, TypedDict, cast
@@ -42,9 +42,9 @@ class PlanTable(TypedDict, total=False):
     """[plan] of session.toml: what was requested, and the plan that resulted.
 
     Requested are set: name of the capture set, such as month; start: first date; year: of its
-    events; count: number of slots; seed: of a sample of the year. Resulted have revision: number of
-    this version of the plan, 0 for the first; slots: their number; first, last: dates;
-    seconds_per_slot, megabytes_per_slot: time and disk space of a bracket at all headings;
+    events; days, count: number of days and of slots; seed: of a sample of the year. Resulted have
+    revision: number of this version of the plan, 0 for the first; slots: their number; first, last:
+    dates; seconds_per_slot, megabytes_per_slot: time and disk space of a bracket at all headings;
     sun_band_percent: of the sky area that the sun crosses in a year, the share within 10 deg of a
     planned sun; sha256: of plan.csv, older_sha256: of the earlier ones.
     """
@@ -52,6 +52,7 @@ class PlanTable(TypedDict, total=False):
     set: str
     start: date
     year: int
+    days: int
     count: int
     seed: int
     revision: Annotated[int, Meta(ge=0, le=1_000_000)]
@@ -211,6 +212,14 @@ class Session:
         planned = float(self.table().get("plan", {}).get("megabytes_per_slot", 0.0))
         return max(1e6 * planned * is_stated, *sizes, 0.0)
 
+    def startable(self, slots: Iterable[Slot], now_utc: datetime) -> list[Slot]:
+        """Return the slots, in their order, whose bracket may still start: until grace after them.
+
+        now_utc: the present time. Raises InputError as `table` does.
+        """
+        earliest_utc = now_utc - self.grace
+        return [slot for slot in slots if slot.t_utc >= earliest_utc]
+
     def panorama_files(self) -> list[Path]:
         """Return the merged panoramas, sorted by name (for names of slots, in order of time)."""
         return sorted(self.panoramas.glob("[!.]*.exr"))
@@ -291,6 +300,16 @@ def _open(path: Path, flags: int) -> int:
 
 
 files.opener = _open
+
+
+def refuse_captured(path: Path) -> None:
+    """Raise InputError for a path in raw/ or irradiance/ of a session: no result belongs there."""
+    for place in (path.absolute(), path.resolve()):  # raw/ may be a link to another disk
+        for root in place.parents:
+            captured = root / place.relative_to(root).parts[0]
+            if captured.name in ("raw", "irradiance") and (root / "session.toml").is_file():
+                found = f"in {captured}, which has what was captured"
+                raise InputError(path, found, "a place for results", "name another folder")
 
 
 def open_session(root: Path) -> Session:

@@ -200,7 +200,7 @@ class _RoomEdges:
         self.changes = np.stack([self.at_pixels(change) for change in changes], axis=1)  # [2 m, 3]
         # Less weight for edges of high contrast, which move with the light: a bright window spreads
         # over its frame.
-        usual = np.median(np.abs(self.values))
+        usual = max(np.median(np.abs(self.values)), 1e-9)  # 0 in pictures without any edge
         self.weights = 1.0 / (self.values**2 + 4.0 * usual**2)
 
     def at_pixels(self, edges: Array) -> Array:

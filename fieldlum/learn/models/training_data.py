@@ -198,6 +198,9 @@ _MIN_SUNNY_ROWS = 3  # a median of fewer rows can be chance; chosen
 # Global irradiance over diffuse plus direct, or its inverse, that exchanged columns exceed: three
 # times BSRN's limit of 8 %. A wrong clock, which changes it too, is reported elsewhere. Chosen.
 _MAX_CLOSURE = 1.25
+# A capture is without light if under 1 % of its pixels exceed 0.1 cd/m2, although 5 W/m2 of diffuse
+# irradiance (about 600 lx) come from the sky. Chosen: a tenth of a percent of it is 0.2 cd/m2.
+_DARK_CDM2, _DAY_WM2 = 0.1, 5.0
 
 
 def _check_irradiance(path: Path, rows: Sequence[PairRow], altitude_deg: Floats) -> None:
@@ -312,7 +315,8 @@ def load_pairs(where: Path | Session, site: Path | None = None) -> Dataset:
 def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]) -> Dataset:
     """Read the captures of usable rows, align the pictures, remove the sun disc and fill gaps.
 
-    Captures whose camera turned too far to be aligned are left out. path: of the csv; notes: those
+    Captures whose camera turned too far to be aligned, and those by day without light, as with the
+    lens cap on, are left out. path: of the csv; notes: those
     on its rows, to which notes on the pictures are added. Raises InputError, as `load_pairs`.
     """
     altitude, azimuth = sun_of_rows(path, rows, setup.site)
@@ -326,9 +330,21 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
         refraction=_refraction(path, rows),
     )
     data, has_value = read_pictures(path, rows, setup, light)
+    is_lit = (data.luminance_cdm2 > _DARK_CDM2).mean(axis=(1, 2)) > 0.01
+    remedy = "check lens cap, blinds and exposures, and capture again"
+    if not is_lit.any():
+        finding = f"no light in {counted(len(rows), 'picture')}"
+        raise InputError(path, finding, "a daylit room", remedy)
+    if not (is_lit := is_lit | (light.dhi_wm2 < _DAY_WM2)).all():
+        named = ", ".join(data.take(~is_lit).slots)
+        notes.append(f"WARNING: not used, because they are dark by day: {named}: {remedy}")
+        return _assemble(path, [rows[k] for k in np.flatnonzero(is_lit)], setup, notes)
     heading, days = data.heading_deg, data.days
     sun_deg = np.where(light.direct_lx > 1000.0, altitude, np.nan)  # 10 W/m2 of DNI
     turns = camera_turns(np.nan_to_num(data.luminance_cdm2), data.seen, heading, sun_deg)
+    if not turns.aligned.any():
+        expected = "several of the same view"
+        raise InputError(path, "no two pictures have the same edges", expected, remedy)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
         at = (float(light.apparent_altitude_deg[k]), float(azimuth[k]))
         take_disc_out(data, k, at, shown_place(*at, heading, turns.angles_deg[k]))

@@ -16,6 +16,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.progress import part_of_progress
 from fieldlum.core.records import counted
 from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
@@ -125,8 +126,11 @@ def evaluate_folds(
     parts: list[scoring.Scores] = []
     times: list[Spent] = []
     fold_s = budget_s and budget_s / len(folds)
-    for held in folds:
-        fitted, spent = fit_timed(name, data.take(~held), patch=patch, seed=seed, budget_s=fold_s)
+    for k, held in enumerate(folds):
+        with part_of_progress(k, len(folds), f"{name} without some days, "):
+            fitted, spent = fit_timed(
+                name, data.take(~held), patch=patch, seed=seed, budget_s=fold_s
+            )
         parts.append(scoring.evaluate(fitted, scoring.truth(data.take(held))))
         times.append(spent)
     wall_s, cpu_s = np.mean(times, axis=0).tolist()

@@ -23,20 +23,8 @@ from fieldlum.core.records import counted
 from fieldlum.learn.models import ModelState, Patch, Prediction, deserialised, state_of
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose, difference
 from fieldlum.learn.models.training_data import Dataset
+from fieldlum.learn.transport import solve
 from fieldlum.learn.transport.physics import Physics, physics_of
-from fieldlum.learn.transport.solve import (
-    MIN_SHARE,
-    SECOND_NOISE,
-    Basis,
-    HeldOutFit,
-    PixelFit,
-    basis_of,
-    fit_pixels,
-    hold_out,
-    patch_scale,
-    second_covariance,
-    second_inverse,
-)
 from fieldlum.learn.transport.training_arrays import (
     MIN_CDM2,
     OpenSky,
@@ -108,7 +96,7 @@ class Transport:
     projector: Array
     states: StateColumns
     open_sky: OpenSky
-    pixels: PixelFit
+    pixels: solve.PixelFit
     uncertainty: Uncertainty
     patch_scale: float | None = None
     physics: Physics | None = None
@@ -123,7 +111,7 @@ class Transport:
     @property
     def parameters(self) -> int:
         """Number of fitted values: those of the pixels, and the projector from captured hours."""
-        count = sum(getattr(self.pixels, f.name).size for f in fields(PixelFit))
+        count = sum(getattr(self.pixels, f.name).size for f in fields(solve.PixelFit))
         return int(count + self.projector.size)
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
@@ -180,14 +168,14 @@ class Transport:
         surface = (cross @ self.projector).astype(np.float32) @ pixels.b.T  # [n, P]
         if computed is not None:
             surface += computed * pixels.computed_gain / unit
-        luminance = np.maximum(surface, MIN_SHARE) * unit  # [n, P] cd/m2
+        luminance = np.maximum(surface, solve.MIN_SHARE) * unit  # [n, P] cd/m2
         direct = None
         if patch is not None and self.patch_scale is not None:
             direct = patch[:, self.seen] * (np.float32(self.patch_scale) * pixels.patch_gain)
             luminance += direct
         window = self.open_sky.index  # [k] of the P pixels
         luminance[:, window] += pixels.sky_gain[window] * self.open_sky.luminance(light)
-        second = second_covariance(features, self.captured).astype(np.float32)
+        second = solve.second_covariance(features, self.captured).astype(np.float32)
         luminance *= np.exp(second @ pixels.second)
         return SurfaceMaps(luminance, direct, unit, features, cross)
 
@@ -313,7 +301,7 @@ class _FitInputs(NamedTuple):
     arrays: TrainingArrays
     perez: Features
     covariance: Array
-    basis: Basis
+    basis: solve.Basis
 
 
 def fit(data: Dataset, *, patch: Patch = "absolute", seed: int = 0) -> Transport | MeanTransport:
@@ -414,7 +402,7 @@ class _Candidates(NamedTuple):
         """
         arrays = inputs.arrays[self.drawn[:CHOOSING]]
         arrays = arrays if days is None else replace(arrays, days=days)
-        return hold_out(arrays, inputs.basis, noise).errors
+        return solve.hold_out(arrays, inputs.basis, noise).errors
 
 
 class _Chosen(NamedTuple):
@@ -455,7 +443,7 @@ def _candidates_of(data: Dataset, patch: Patch, seed: int) -> _Candidates:
     arrays = training_arrays_of(data, with_patch=patch != "none")
     scale = None
     if arrays.patch is not None:
-        scale = patch_scale(arrays)
+        scale = solve.patch_scale(arrays)
         arrays = replace(arrays, patch=arrays.patch * np.float32(scale))
     kernel = Kernel(arrays.facades)
     progress(5, 100, "light between surfaces")
@@ -518,7 +506,7 @@ def _fit_chosen(chosen: _Chosen) -> tuple[Transport, Array]:
     common, inputs, noise = chosen.candidates, chosen.inputs, chosen.noise
     arrays, basis = inputs.arrays, inputs.basis
     progress(20, 100, "fitting")
-    pixels = fit_pixels(
+    pixels = solve.fit_pixels(
         arrays, basis, noise, lambda part, count: progress(20 + 70 * part // count, 100, "fitting")
     )
     progress(90, 100, "calibrating uncertainty")
@@ -546,7 +534,7 @@ def _fit_chosen(chosen: _Chosen) -> tuple[Transport, Array]:
 def _fit_inputs(arrays: TrainingArrays, kernel: Kernel, perez: Features) -> _FitInputs:
     """Return the inputs of a fit to captures; perez: their features under Perez's skies."""
     covariance = kernel(arrays.features, arrays.features)
-    basis = basis_of(covariance, kernel(perez, arrays.features))
+    basis = solve.basis_of(covariance, kernel(perez, arrays.features))
     return _FitInputs(arrays, perez, covariance, basis)
 
 
@@ -643,9 +631,9 @@ class Uncertainty:
         variance is in units of (sun's share of the total light) squared. hours, captured: features
         of the m hours and of the n captures.
         """
-        cross = second_covariance(hours, captured)
+        cross = solve.second_covariance(hours, captured)
         explained = np.einsum("ij,ij->i", cross @ self.second, cross)
-        return np.maximum(hours.beam**2 - explained, 0.0) + SECOND_NOISE
+        return np.maximum(hours.beam**2 - explained, 0.0) + solve.SECOND_NOISE
 
     def expected_mse(self, hours: Features, captured: Features, guess: Array) -> Array:
         """Return the log10 MSE to expect in m `hours`, [m]: `guess` [m], corrected by the tests.
@@ -692,7 +680,7 @@ def log10_variance(
 
 def calibrate(
     arrays: TrainingArrays,
-    basis: Basis,
+    basis: solve.Basis,
     covariance: Array,
     noise: float,
     residual: Floats32,
@@ -707,11 +695,11 @@ def calibrate(
     careful: see `Uncertainty`.
     """
     hour_noise = noise / arrays.sureness  # hours of unsteady light have less weight
-    inverse, second = np.linalg.inv(covariance + np.diag(hour_noise)), second_inverse(arrays)
+    inverse, second = np.linalg.inv(covariance + np.diag(hour_noise)), solve.second_inverse(arrays)
     groups = [arrays.days, seasons(arrays.days)]
     tests = [
         _Test(
-            hold_out(replace(arrays, days=days), basis, noise),
+            solve.hold_out(replace(arrays, days=days), basis, noise),
             _held_out_variance(inverse, hour_noise, days),
             _held_out_variance(second, np.zeros(len(days)), days),
         )
@@ -751,7 +739,7 @@ class _Test(NamedTuple):
     variance, second: variances of the hours in the first and in the second stage [n].
     """
 
-    held: HeldOutFit
+    held: solve.HeldOutFit
     variance: Array
     second: Array
 
@@ -780,7 +768,7 @@ def _held_out_variance(inverse: Array, hour_noise: Array, days: NDArray) -> Arra
     return np.maximum(variance, 0.0)
 
 
-def _patch_sd(arrays: TrainingArrays, held: HeldOutFit) -> float:
+def _patch_sd(arrays: TrainingArrays, held: solve.HeldOutFit) -> float:
     """Return the relative standard deviation of a sun patch: that of held-out values.
 
     Compared are the values of which over 30 % are direct sun; with 20 of them or fewer it is 0.05.

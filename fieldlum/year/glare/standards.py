@@ -58,9 +58,9 @@ class DgpUncertainty(NamedTuple):
     """How uncertain the DGP of n hours in d directions is.
 
     words [d] : "seen", "partly seen" or "not seen"; minimum, maximum [n, d] : lowest and highest
-    DGP over possible light in the unseen part of a view; drawn [k, n, d] : DGP in k random draws
-    of the sun's place and visibility; u_maps [n, d] : standard uncertainty of DGP by the model's
-    maps, NaN if unknown.
+    DGP over possible light in the unseen part of a view, infinite if nothing bounds them; drawn [k,
+    n, d] : DGP in k random draws of the sun's place and visibility; u_maps [n, d] : standard
+    uncertainty of DGP by the model's maps, NaN if unknown.
     """
 
     words: tuple[str, ...]
@@ -163,12 +163,12 @@ def _sentence(row: DirectionYear) -> str:
     text = "below minimum" if row.glare_class == NO_CLASS else f"class {row.glare_class}"
     if row.seen != SEEN:
         text = f"{text}, from the seen part of the view"
-    figure = f"DGP exceeded in 5 % of occupied hours: {row.dgp_exceeded:.3f}"
-    if row.low is None:
-        return f"{text} ({figure}); the model states no uncertainty"
     if not row.certain:
         text = f"cannot tell yet: {text} is the most likely class"
-    return f"{text} ({figure}, 95 % interval {row.low:.3f} to {row.high:.3f})"
+    figure = f"{text} (DGP exceeded in 5 % of occupied hours: {row.dgp_exceeded:.3f}"
+    if row.low is None:
+        return f"{figure}); the model states no uncertainty"
+    return f"{figure}, 95 % interval {row.low:.3f} to {row.high:.3f})"
 
 
 def _interval(

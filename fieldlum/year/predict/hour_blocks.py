@@ -93,8 +93,8 @@ class ModelRoom:
     the model needs maps of sun patches; seen [H, W]: True for pixels that a lens saw, None if all
     were seen; mirrors: plane mirrors in the room that show the sun; sky_view: that of the model's
     captures, None for a model of an earlier version; sky_view_file: name of the file if another sky
-    view replaces it, else ""; pose: that of the sky view, from which the sun's place in the maps
-    follows.
+    view replaces it, else ""; untrusted: whether no hour of the model is trusted; pose: that of the
+    sky view, from which the sun's place in the maps follows.
     """
 
     setup: SiteFile
@@ -106,6 +106,7 @@ class ModelRoom:
     mirrors: tuple[Mirror, ...] = ()
     sky_view: SkyView | None = None
     sky_view_file: str = ""
+    untrusted: bool = False
     pose: CameraPose = field(default_factory=CameraPose)
 
     @property
@@ -144,6 +145,7 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
         seen=seen_mask,
         mirrors=read_mirrors(folder, config),
         sky_view=view,
+        untrusted=config.untrusted,
         pose=view.pose if view else CameraPose(axis_deg=heading),
     )
 
@@ -175,6 +177,7 @@ def blocks(
         if not np.isfinite(maps).all():
             hours = f"hours {rows.start} to {rows.stop - 1}"
             raise FloatingPointError(f"{hours}: predicted values that are not finite")
+        prediction = replace(prediction, trusted=prediction.trusted & (not room.untrusted))
         images = tuple(mirror.images(part, room.heading_deg) for mirror in room.mirrors)
         yield HourBlock(rows, part, prediction, disc[rows], images)
 
@@ -314,6 +317,7 @@ class HourJudge:
         azimuths_deg: the directions [d], clockwise from north.
         """
         size, self._pose = (room.height, room.width, room.heading_deg), room.pose
+        self._reach = np.inf if room.untrusted else 0.0
         self.views = panorama_views(*size, azimuths_deg, room.seen)
         self._coverage = metrics.view_coverage(self.views)
         self._regions = metrics.region_weights(self.views)
@@ -345,7 +349,8 @@ class HourJudge:
         without any. dgp_low and dgp_high are the ends of the 95 % interval of DGP: the limit by
         what no lens saw, plus the quantile of the draws, plus 1.96 u of the maps. The three are
         added, not their squares as in u_dgp, so that the interval is wide enough also if they are
-        not independent. "occupied" is 0 here; `year.run` sets it.
+        not independent; a model of which no hour is trusted bounds nothing: they are 0 and 1.
+        "occupied" is 0 here; `year.run` sets it.
         """
         views, light, coverage, figures = self.views, block.light, self._coverage, self.glare(block)
         u_map_rel, u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
@@ -358,6 +363,7 @@ class HourJudge:
             brightest = np.maximum(brightest, seen_cdm2)
         # lowest and highest DGP over possible luminances of the unseen part [k, d]
         minimum, maximum = metrics.unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
+        minimum, maximum = minimum - self._reach, maximum + self._reach
         drawn_ev_lx, drawn_contrast = self._drawn_light(block, figures, discs_lx)
         if melanopic is not None:
             unseen_lx = brightest[:, None] * coverage.unseen_illuminance

@@ -126,7 +126,6 @@ def run(
     how = {"store": store, "melanopic": colours, "scheduler": scheduler}
     figures = hour_blocks.predict_figures(model_folder, room, light, azimuths, **how)
     figures.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
-    figures.hours["trusted"] *= not config.untrusted
     about = _about(room, config, weather, light, azimuths)
     summary = structs.replace(about, inputs=inputs, days=days)
     annual = Annual(light.t_utc, azimuths, figures.hours, _columns(figures), folder, summary)
