@@ -22,6 +22,7 @@ from fieldlum.core.errors import input_errors
 from fieldlum.learn.models import deserialised
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import (
+    across_axes,
     altitude_azimuth_deg,
     direction,
     equirect_pixel,
@@ -95,10 +96,7 @@ def ring_around(towards: Floats, angle_rad: float) -> Floats:
 
     towards: unit vectors [n, 3], as the results.
     """
-    not_parallel = np.where(np.abs(towards[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    right = np.cross(towards, not_parallel)
-    right /= np.linalg.norm(right, axis=1, keepdims=True)
-    up = np.cross(right, towards)
+    right, up = across_axes(towards)
     turns = np.arange(8)[:, None, None] * np.pi / 4.0
     ring = np.cos(turns) * right + np.sin(turns) * up
     return np.cos(angle_rad) * towards + np.sin(angle_rad) * ring

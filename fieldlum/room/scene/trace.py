@@ -11,6 +11,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Integers, Ints8, Ints32, Mask
 from fieldlum.core.compiled import compiled
+from fieldlum.optics.projection import across_axes
 from fieldlum.room.scene.box_room import Box, BoxScene, glass_optics, upright
 
 EPSILON_M = 1e-4  # points are lifted by multiples of this above their surface, to miss it; chosen
@@ -171,10 +172,8 @@ def disc_rays(toward: Floats, rings: int = 4) -> Floats:
         angle += list((np.arange(count) + 0.5 * (ring % 2)) * 2 * np.pi / count)
     r = np.array(radius)[:, None] * np.tan(np.radians(SUN_RADIUS_DEG))
     along = np.asarray(toward, float)[..., None, :]
-    side = np.cross(along, np.where(abs(along[..., 2:]) < 0.9, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
-    side /= np.linalg.norm(side, axis=-1, keepdims=True)
-    x, y = np.cos(angle)[:, None] * side, np.sin(angle)[:, None] * np.cross(along, side)
-    rays = along + r * (x + y)
+    right, up = across_axes(along)
+    rays = along + r * (np.cos(angle)[:, None] * right - np.sin(angle)[:, None] * up)
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
