@@ -21,7 +21,6 @@ from fieldlum.learn.models.mirrors import (
     SunImage,
     bright_spots,
     find_mirrors,
-    glass_reflectance,
     mirrored,
     read_mirrors,
     split_images,
@@ -30,6 +29,7 @@ from fieldlum.learn.models.mirrors import (
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import fit_and_score, run
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_rays
+from fieldlum.room.scene.box_room import glass_optics
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sun_disc import SunDisc, add_source
@@ -59,7 +59,8 @@ def facade_light(light: Light, normal: np.ndarray) -> tuple[np.ndarray, np.ndarr
     suns = light.apparent_sun_direction
     towards, cosine = mirrored(suns, normal), suns @ normal
     visible = (cosine > 0.0) & in_facade(towards)
-    return towards, np.where(visible, FACTOR * glass_reflectance(cosine) * light.direct_lx, 0.0)
+    share = FACTOR * glass_optics(0.0, cosine)[1]
+    return towards, np.where(visible, share * light.direct_lx, 0.0)
 
 
 def in_facade(towards: np.ndarray) -> np.ndarray:
@@ -86,7 +87,8 @@ def test_a_plane_turns_the_sun_and_glass_reflects_as_fresnel_states() -> None:
     brewster = np.arctan(1.52)
     across = np.cos(brewster) ** 2 - np.sin(brewster) ** 2
     expected = [(0.52 / 2.52) ** 2, across**2 / 2.0, 1.0]
-    np.testing.assert_allclose(glass_reflectance([1.0, np.cos(brewster), 0.0]), expected)
+    reflectance = glass_optics(0.0, [1.0, np.cos(brewster), 0.0])[1]
+    np.testing.assert_allclose(reflectance, expected, rtol=1e-5)
 
 
 @pytest.mark.slow

@@ -86,6 +86,18 @@ def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
+def across_axes(rays: Floats) -> tuple[Floats, Floats]:
+    """Return two unit vectors at right angles to each unit vector and to each other, [..., 3] each.
+
+    rays: [..., 3]. Where they are less than 64 degrees from level, the first points right, as seen
+    along the ray with z up, and the second up.
+    """
+    other = np.where(np.abs(rays[..., 2:]) < 0.9, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    side = np.cross(rays, other)
+    side /= np.linalg.norm(side, axis=-1, keepdims=True)
+    return side, np.cross(side, rays)
+
+
 def altitude_azimuth_deg(rays: Array) -> tuple[Floats, Floats]:
     """Return altitude and azimuth of unit vectors [..., 3], the inverse of `direction`, [...] each.
 

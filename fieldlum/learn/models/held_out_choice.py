@@ -1,7 +1,7 @@
 """Weigh captured hours, and choose among candidates by what users decide: DGP in held-out hours.
 
 Within its standard error the error of vertical illuminance decides, then that of log10 luminance.
-`train` chooses its models with it, and light transport its inputs, by log10 luminance alone.
+`train` chooses its models with it.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ class HeldOutErrors:
 
     dgp: mean absolute error of DGP over fully seen view directions, with the true disc; ev: mean
     absolute error of ln Ev over the same directions; log10: mean squared error of log10 luminance;
-    day: date; weight: 0 to 1, by `choice_weights`; trim: share of the weight of the hours with the
-    largest errors, which does not count.
+    day: date; weight: 0 to 1, by `choice_weights`.
     """
 
     dgp: Floats
@@ -41,7 +40,6 @@ class HeldOutErrors:
     log10: Floats
     day: Array
     weight: Floats
-    trim: float = TRIM
 
     def figure(self, name: str) -> float:
         """Return the trimmed weighted mean of one error; NaN if no hour has it.
@@ -50,7 +48,7 @@ class HeldOutErrors:
         """
         values = getattr(self, name)
         rows = np.isfinite(values) & (self.weight > 0.0)
-        return trimmed_mean(values[rows], self.weight[rows], self.trim)
+        return trimmed_mean(values[rows], self.weight[rows])
 
     @property
     def judged(self) -> int:
@@ -58,24 +56,24 @@ class HeldOutErrors:
         return int((self.weight > 0.0).sum())
 
 
-def limit_of(values: Floats, weight: Floats, trim: float) -> float:
-    """Return the smallest of the values that is exceeded by at most a share `trim` of the weight.
+def limit_of(values: Floats, weight: Floats) -> float:
+    """Return the smallest of the values that is exceeded by at most a share TRIM of the weight.
 
     values, weight: [n], n at least 1; weights at least 0.
     """
     order = np.argsort(values)
     above = 1.0 - np.cumsum(weight[order]) / weight.sum()
-    return float(values[order][np.argmax(above <= trim + 1e-9)])
+    return float(values[order][np.argmax(above <= TRIM + 1e-9)])
 
 
-def trimmed_mean(values: Floats, weight: Floats, trim: float = TRIM) -> float:
-    """Return the weighted mean of the values without the largest; NaN without values.
+def trimmed_mean(values: Floats, weight: Floats) -> float:
+    """Return the weighted mean of the values [n] without the largest; NaN without values.
 
-    values, weight: [n]; trim: largest share of the weight that is omitted with the largest values.
+    weight: [n]; the largest values that have at most a share TRIM (5 %) of it are omitted.
     """
     if not len(values):
         return float("nan")
-    used = values <= limit_of(values, weight, trim)
+    used = values <= limit_of(values, weight)
     return float(np.average(values[used], weights=weight[used]))
 
 
@@ -84,20 +82,19 @@ def difference(candidate: HeldOutErrors, other: HeldOutErrors, name: str) -> tup
 
     A negative difference: the candidate is better. Both candidates have the same hours. Hours
     without weight, or without the error of either candidate, do not count; at least one hour must
-    count. Of each candidate, the hours with the largest errors are omitted, up to the share
-    `candidate.trim` of the weight. name: one of `CRITERIA`, whose unit both results have. The
+    count. Of each candidate, the hours with the largest errors are omitted, up to the share TRIM of
+    the weight. name: one of `CRITERIA`, whose unit both results have. The
     standard error is that of the trimmed mean, by winsorised differences (Tukey and McLaughlin
     1963), where only days are independent; it is 0 with one day.
     """
     own, others = getattr(candidate, name), getattr(other, name)  # errors of each hour [n]
     rows = np.isfinite(own) & np.isfinite(others) & (candidate.weight > 0.0)
     own, others, weight = own[rows], others[rows], candidate.weight[rows]
-    trim = candidate.trim
-    mean = trimmed_mean(own, weight, trim) - trimmed_mean(others, weight, trim)
-    winsorised = np.minimum(own, limit_of(own, weight, trim))
-    differences = winsorised - np.minimum(others, limit_of(others, weight, trim))
+    mean = trimmed_mean(own, weight) - trimmed_mean(others, weight)
+    winsorised = np.minimum(own, limit_of(own, weight))
+    differences = winsorised - np.minimum(others, limit_of(others, weight))
     error = standard_error(differences * weight / weight.mean(), candidate.day[rows])
-    return mean, float(np.nan_to_num(error)) / (1.0 - trim)
+    return mean, float(np.nan_to_num(error)) / (1.0 - TRIM)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,18 +22,19 @@ from fieldlum.core.errors import input_errors
 from fieldlum.learn.models import deserialised
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import (
+    across_axes,
     altitude_azimuth_deg,
     direction,
     equirect_pixel,
     equirect_rays,
     equirect_solid_angles,
 )
+from fieldlum.room.scene.box_room import glass_optics
 from fieldlum.session.codec import read_arrays
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.sky import sun_disc
 from fieldlum.sky.daylight import Light
 
-GLASS_INDEX = 1.52  # refractive index of soda-lime glass (EN 572-1: 1.50 rounded; Radiance: 1.52)
 # A spot this near to the sun is no image: its pixels can be the sky around the sun, and a mirror
 # seen at such a grazing angle does not show its normal. Chosen.
 _NEAR_SUN_DEG = 10.0
@@ -95,26 +96,10 @@ def ring_around(towards: Floats, angle_rad: float) -> Floats:
 
     towards: unit vectors [n, 3], as the results.
     """
-    not_parallel = np.where(np.abs(towards[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    right = np.cross(towards, not_parallel)
-    right /= np.linalg.norm(right, axis=1, keepdims=True)
-    up = np.cross(right, towards)
+    right, up = across_axes(towards)
     turns = np.arange(8)[:, None, None] * np.pi / 4.0
     ring = np.cos(turns) * right + np.sin(turns) * up
     return np.cos(angle_rad) * towards + np.sin(angle_rad) * ring
-
-
-def glass_reflectance(cosine: ArrayLike) -> Floats:
-    """Return the reflectance of one air-glass surface for unpolarised light (Fresnel), [...].
-
-    cosine: of the angle of incidence [...]. Hecht, Optics, 4.6.2, with `GLASS_INDEX`.
-    """
-    in_air = np.clip(np.abs(np.asarray(cosine, float)), 0.0, 1.0)
-    in_glass = np.sqrt(1.0 - (1.0 - in_air**2) / GLASS_INDEX**2)
-    # amplitudes of light polarised across and along the plane of incidence
-    across = (in_air - GLASS_INDEX * in_glass) / (in_air + GLASS_INDEX * in_glass)
-    along = (GLASS_INDEX * in_air - in_glass) / (GLASS_INDEX * in_air + in_glass)
-    return (across**2 + along**2) / 2.0
 
 
 def tolerance_rad(height: int) -> float:
@@ -342,7 +327,7 @@ class Mirror:
         places = flat_pixels(directions, self.chance.shape, heading_deg)
         chances = self.chance.reshape(-1)[places]  # [9, n]
         ahead = (cosine > 0.0) & (light.direct_lx > 0.0) & (suns[:, 2] > 0.0)
-        share = np.minimum(self.factor * glass_reflectance(cosine), 1.0)
+        share = np.minimum(self.factor * glass_optics(0.0, cosine)[1], 1.0)
         return MirroredSun(
             towards=towards,
             normal_lx=share * light.direct_lx,
@@ -430,7 +415,8 @@ def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
 def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     """Return the mirror of a plane: the energy of its images, and where they are visible."""
     suns, rows = data.light.apparent_sun_direction, np.array([image.row for image in plane.images])
-    full_lx = glass_reflectance(suns @ plane.normal) * data.light.direct_lx  # [n], if of glass
+    # of images in one surface of glass: no light passes it to reach the second [n]
+    full_lx = glass_optics(0.0, suns @ plane.normal)[1] * data.light.direct_lx
     factors = np.array([image.spot.normal_lx for image in plane.images]) / full_lx[rows]
     # An image is measured if none of its pixels is clipped, moving or filled.
     counts = np.broadcast_to(1.0, data.luminance_cdm2.shape) if data.counts is None else data.counts

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices
 from fieldlum.core.statistics import cauchy_weights, nan_percentiles
-from fieldlum.learn.models.held_out_choice import HeldOutErrors, beam_variance, weight_of_variance
+from fieldlum.learn.models.held_out_choice import beam_variance, weight_of_variance
 from fieldlum.learn.transport.training_arrays import MIN_CDM2, TrainingArrays, pixel_scale
 from fieldlum.sky.light_similarity import Features
 
@@ -382,15 +382,12 @@ class HeldOutFit:
 
     luminance: predicted [n, P] cd/m2; error: log10 of predicted over captured luminance, where
     values below 1 cd/m2 count as 1, and 0 where the captured value has no weight [n, P]; scale:
-    each pixel's mean luminance per lx of total light [P]; errors: those by which fits are compared,
-    of log10 luminance alone and of all hours. Ranked by DGP, or without the hours of the largest
-    errors, fits of a rendered room had up to three times the log10 MSE over a year.
+    each pixel's mean luminance per lx of total light [P].
     """
 
     luminance: Array
     error: Array
     scale: Array
-    errors: HeldOutErrors
 
 
 def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
@@ -423,11 +420,7 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
         np.log10(np.maximum(values, 1.0)) for values in (luminance, arrays.luminance)
     )
     error = ~arrays.filled * (log10_predicted - log10_captured)
-    unknown, log10 = np.full(len(luminance), np.nan), (error**2).mean(axis=1)
-    errors = HeldOutErrors(
-        dgp=unknown, ev=unknown, log10=log10, day=arrays.days, weight=arrays.sureness, trim=0.0
-    )
-    return HeldOutFit(luminance=luminance, error=error, scale=scale, errors=errors)
+    return HeldOutFit(luminance=luminance, error=error, scale=scale)
 
 
 def _hold_out_chunk(

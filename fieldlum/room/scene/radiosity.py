@@ -18,7 +18,7 @@ from fieldlum.core.arrays import Floats, Floats32, Indices, Ints8, Ints32, Ints6
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Panorama, Room, SiteFile, SunSource
 from fieldlum.optics import images, melanopic
-from fieldlum.optics.projection import equirect_rays
+from fieldlum.optics.projection import across_axes, equirect_rays
 from fieldlum.room.scene import trace
 from fieldlum.room.scene.box_room import BoxScene
 from fieldlum.room.scene.view import SceneView, SurfaceSamples, patch_rays, traced_view
@@ -216,11 +216,8 @@ def _hemispheres(normal: Floats, rays: int, rng: np.random.Generator) -> Floats:
     steps = np.array([0.7548776662466927, 0.5698402909980532])  # 1/g, 1/g^2 with g^3 = g + 1
     square = (np.arange(rays)[None, :, None] * steps + rng.random((len(normal), 1, 2))) % 1.0
     radius, turn = np.sqrt(square[..., :1]), 2.0 * np.pi * square[..., 1:]
-    not_parallel = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    across = np.cross(not_parallel, normal)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    up = np.cross(normal, across)[:, None]
-    toward = radius * (np.cos(turn) * across[:, None] + np.sin(turn) * up)
+    side, up = across_axes(normal)
+    toward = radius * (np.sin(turn) * up[:, None] - np.cos(turn) * side[:, None])
     toward += np.sqrt(1.0 - square[..., :1]) * normal[:, None]
     return toward.reshape(-1, 3)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Integers, Ints8, Ints32, Mask
 from fieldlum.core.compiled import compiled
+from fieldlum.optics.projection import across_axes
 from fieldlum.room.scene.box_room import Box, BoxScene, glass_optics, upright
 
 EPSILON_M = 1e-4  # points are lifted by multiples of this above their surface, to miss it; chosen
@@ -44,27 +45,22 @@ def nearest_box(low: Floats, high: Floats, origins: Floats, directions: Floats) 
     low, high: corners of the boxes [b, 3] m; origins, directions: of the rays [n, 3]. A ray is in a
     box from the last of its three entries, between the planes of x, y, z, to its first exit.
     """
-    count = len(directions)
+    count, inverse = len(directions), _inverses(directions, 1e-12)
     distance, box = np.full(count, np.inf), np.full(count, -1, np.int32)
     axis, sign = np.zeros(count, np.int8), np.zeros(count, np.int8)
-    for ray in range(count):  # the three axes are written out: a loop over them is 20 % slower
-        toward = directions[ray]
-        inverse_x = 1.0 / (toward[0] if abs(toward[0]) >= 1e-12 else 1e-12)
-        inverse_y = 1.0 / (toward[1] if abs(toward[1]) >= 1e-12 else 1e-12)
-        inverse_z = 1.0 / (toward[2] if abs(toward[2]) >= 1e-12 else 1e-12)
-        x, y, z = origins[ray, 0], origins[ray, 1], origins[ray, 2]
+    for ray in range(count):
         for k in range(len(low)):
-            x0, x1 = (low[k, 0] - x) * inverse_x, (high[k, 0] - x) * inverse_x
-            y0, y1 = (low[k, 1] - y) * inverse_y, (high[k, 1] - y) * inverse_y
-            z0, z1 = (low[k, 2] - z) * inverse_z, (high[k, 2] - z) * inverse_z
-            enters_x, enters_y, enters_z = min(x0, x1), min(y0, y1), min(z0, z1)
-            enters = max(enters_x, enters_y, enters_z)
-            leaves = min(max(x0, x1), max(y0, y1), max(z0, z1))
+            enters, leaves, across = -np.inf, np.inf, 0
+            for i in range(3):  # written out, a quarter faster; sun patches as a whole are not
+                first = (low[k, i] - origins[ray, i]) * inverse[ray, i]
+                last = (high[k, i] - origins[ray, i]) * inverse[ray, i]
+                if min(first, last) > enters:
+                    enters, across = min(first, last), i
+                leaves = min(leaves, max(first, last))
             if enters < leaves and EPSILON_M / 10 < enters < distance[ray]:
-                distance[ray], box[ray] = enters, k
-                axis[ray] = 0 if enters == enters_x else (1 if enters == enters_y else 2)
+                distance[ray], box[ray], axis[ray] = enters, k, across
         if box[ray] >= 0:
-            sign[ray] = -1 if toward[axis[ray]] > 0.0 else 1
+            sign[ray] = -1 if directions[ray, axis[ray]] > 0.0 else 1
     return BoxHits(distance, box, axis, sign)
 
 
@@ -176,10 +172,8 @@ def disc_rays(toward: Floats, rings: int = 4) -> Floats:
         angle += list((np.arange(count) + 0.5 * (ring % 2)) * 2 * np.pi / count)
     r = np.array(radius)[:, None] * np.tan(np.radians(SUN_RADIUS_DEG))
     along = np.asarray(toward, float)[..., None, :]
-    side = np.cross(along, np.where(abs(along[..., 2:]) < 0.9, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
-    side /= np.linalg.norm(side, axis=-1, keepdims=True)
-    x, y = np.cos(angle)[:, None] * side, np.sin(angle)[:, None] * np.cross(along, side)
-    rays = along + r * (x + y)
+    right, up = across_axes(along)
+    rays = along + r * (np.cos(angle)[:, None] * right - np.sin(angle)[:, None] * up)
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
@@ -197,13 +191,13 @@ def _passed(beyond: float, softness: float) -> float:
 
 
 @compiled
-def _inverses(suns: Floats) -> Floats:
-    """Return one over each component of directions [n, 3], at most 10^9."""
-    inverse = np.empty((len(suns), 3))
-    for hour in range(len(suns)):
+def _inverses(toward: Floats, smallest: float) -> Floats:
+    """Return one over each component of directions [n, 3], of which `smallest` is the smallest."""
+    inverse = np.empty((len(toward), 3))
+    for row in range(len(toward)):
         for axis in range(3):  # for a row at a time, numba would compile an error's text too: 2 s
-            component = suns[hour, axis]
-            inverse[hour, axis] = 1.0 / (component if abs(component) >= _SMALLEST else _SMALLEST)
+            component = toward[row, axis]
+            inverse[row, axis] = 1.0 / (component if abs(component) >= smallest else smallest)
     return inverse
 
 
@@ -345,7 +339,7 @@ def add_through(
     axis, outward = int(opening[0]), opening[1]
     along, inner, thickness = 1 - axis, opening[2], (opening[3] - opening[2]) * opening[1]
     u_from, u_to, z_from, z_to = opening[4], opening[5], opening[6], opening[7]
-    inverse, boxes = _inverses(suns), np.arange(len(low))
+    inverse, boxes = _inverses(suns, _SMALLEST), np.arange(len(low))
     for first in range(0, len(face), _BLOCK):
         last = min(first + _BLOCK, len(face))
         bounds = _bounds(position, softness, first, last)
@@ -410,7 +404,7 @@ def _add_outside(
     -y, -z; weight [r]; target [r]: column of `totals`; suns [n, 3]: unit vectors; totals [n,
     targets]: changed in place.
     """
-    inverse, boxes = _inverses(suns), np.arange(len(low))
+    inverse, boxes = _inverses(suns, _SMALLEST), np.arange(len(low))
     hard = np.full(len(face), HARD_M, np.float32)
     for first in range(0, len(face), _BLOCK):
         last = min(first + _BLOCK, len(face))
