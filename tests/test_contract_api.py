@@ -130,7 +130,7 @@ def test_glare_of_a_map_is_that_of_its_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("wrong", "expected"),
     [
-        ({"model": "transprot"}, "one of auto, .*; correct the name; did you mean 'transport'"),
+        ({"model": "transprot"}, "one of auto, .*; correct the value; did you mean 'transport'"),
         ({"model": None}, "one of auto, mean, nearest, transport, dense"),
         ({"patch": "foo"}, "one of absolute, gain, none"),
     ],

@@ -433,10 +433,10 @@ def test_several_parts_are_refused_until_one_is_named(tmp_path: Path, case: str)
         picture, view = read_exr(path, name)
         np.testing.assert_allclose(picture.luminance_cdm2, value, rtol=1e-6)
         assert view == ""
-    with pytest.raises(InputError, match=f"no part nothing; expected one of {listed}"):
+    with pytest.raises(InputError, match=f"in a part nothing; expected one of {listed}"):
         read_exr(path, "nothing")
     for name in {str(part.name()) for part in make()} - set(expected):  # depth, deep data, layers
-        with pytest.raises(InputError, match=rf"part {name} is not one flat .*: channels {name}\."):
+        with pytest.raises(InputError, match=f"in a part {name}; expected"):
             read_exr(path, name)
 
 
@@ -460,10 +460,10 @@ def test_layers_next_to_plain_channels_are_named(tmp_path: Path) -> None:
     assert picture.luminance_cdm2 == pytest.approx(7)
     assert "the EXR has further layers: diffuse" in picture.attributes["note"]
     assert read_exr(path, "diffuse")[0].luminance_cdm2 == pytest.approx(1)
-    with pytest.raises(InputError, match=r"part normal is not one .* normal\.X, normal\.Y"):
+    with pytest.raises(InputError, match="no flat picture with luminance in a part normal"):
         read_exr(path, "normal")
     OpenEXR.File([_part("", _planes(7))]).write(str(path))
-    with pytest.raises(InputError, match=r"no part depth; expected no name: .*; omit --part"):
+    with pytest.raises(InputError, match=r"in a part depth; expected one of .*; omit --part"):
         read_exr(path, "depth")
 
 

@@ -240,18 +240,6 @@ def test_a_folder_in_a_bucket_is_refused(model: Path, weather: Path) -> None:
     assert not Path("s3:").exists()
 
 
-@pytest.mark.contract
-@pytest.mark.parametrize("place", ["raw", "raw/year", "irradiance"])
-def test_a_year_among_the_captures_is_refused(tmp_path: Path, place: str) -> None:
-    (tmp_path / "session.toml").touch()
-    out = tmp_path / place
-    done = CliRunner().invoke(main, ["predict", "m", "--weather", "synthetic", "--out", str(out)])
-    assert done.exit_code == 3 and not out.exists(), done.output
-    assert "which has what was captured; expected a place for results; name" in done.stderr
-    with pytest.raises(InputError, match="what was captured"):
-        fieldlum.predict_year(tmp_path / "m", "synthetic", out=out)
-
-
 @pytest.mark.slow
 @pytest.mark.contract
 def test_half_a_table_is_refused(model: Path, weather: Path, tmp_path: Path) -> None:

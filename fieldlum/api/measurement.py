@@ -16,7 +16,6 @@ from fieldlum.optics import images, profiles
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.plan import Plan
 from fieldlum.session import Session, site_toml
-from fieldlum.session.folder import refuse_captured
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.weather import Weather
 from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
@@ -25,12 +24,9 @@ from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
 def path_of(value: object, what: str = "file") -> Path:
     """Return a value as a path.
 
-    what: name of the value in errors. Raises InputError if it is neither a text nor a path, and for
-    an "out" among the captures of a session.
+    what: name of the value in errors. Raises InputError if it is neither a text nor a path.
     """
     if isinstance(value, str | os.PathLike):
-        if what == "out":
-            refuse_captured(Path(value))
         return Path(value)
     found = f"a value of type {type(value).__name__}"
     raise InputError(what, found, "a path, as text or Path", "pass its path")

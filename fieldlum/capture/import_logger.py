@@ -71,23 +71,20 @@ def import_rows(
     return Report(rows=added, withdrawn=withdrawn, left_out=left_out, notes=notes)
 
 
-def _refuse_voltage(
-    path: Path, rows: Sequence[IrradianceSample], quantity: str, site: Site
-) -> None:
+def _refuse_voltage(path: Path, rows: Sequence[IrradianceSample], name: str, site: Site) -> None:
     """Raise InputError if an irradiance is too small for any sky, as a voltage is.
 
-    rows: those of the file that have the quantity; quantity: ghi_wm2 or dhi_wm2; site: of the
+    rows: those of the file that have the quantity; name: ghi_wm2 or dhi_wm2; site: of the
     session. The largest value is compared with the highest sun of up to 1000 rows.
     """
     some_utc = [rows[k].t_utc for k in evenly_spread(len(rows), 1000)]
     sine = np.sin(np.radians(sun.position(some_utc, site).altitude_deg))
     least_wm2 = float(_DARKEST_SHARE * (sun.extraterrestrial_wm2(some_utc) * sine).max())
-    largest_wm2 = max(getattr(row, quantity) for row in rows)
+    largest_wm2 = max(getattr(row, name) for row in rows)
     if sine.max() > _HIGH_SUN_SINE and 0.0 < largest_wm2 < least_wm2:
-        found = f"{quantity} is at most {largest_wm2:.3g}"
         expected = f"over {least_wm2:.0f} W/m2 by day, even under the darkest cloud"
-        remedy = f"if it is a voltage, state --sensitivity {quantity}=UV_PER_WM2; else check unit"
-        raise InputError(path, found, expected, f"{remedy}, clock and instrument")
+        remedy = f"if it is a voltage, state --sensitivity {name}=UV_PER_WM2; else check unit"
+        raise InputError(path, f"{name} is at most {largest_wm2:.3g}", expected, f"{remedy}, clock")
 
 
 def _check_civil_time(path: Path, times: Sequence[datetime], zone: ZoneInfo) -> None:

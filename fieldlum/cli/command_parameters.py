@@ -35,7 +35,7 @@ class _LocalPath(click.Path):
     """The type of an option or argument that is a path of the file system.
 
     URLs are rejected, because one would become a folder named "s3:". A missing path that must exist
-    is an InputError, as for every missing file, and so is an "out" among the captures of a session.
+    is an InputError, as for every missing file.
     """
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -47,10 +47,6 @@ class _LocalPath(click.Path):
         if self.exists and not Path(value).exists():
             what = "a file or folder that exists"
             raise InputError(value, "no such file or folder", what, "check the path")
-        if param is not None and param.name == "out":
-            from fieldlum.session.folder import refuse_captured
-
-            refuse_captured(Path(value))
         return super().convert(value, param, ctx)
 
 

@@ -84,8 +84,8 @@ def did_you_mean(text: str, names: Iterable[str]) -> str:
 def require_name(what: str, name: object, names: Sequence[str]) -> None:
     """Raise InputError unless `name` is one of `names`; what: the argument or option."""
     if name not in names:
-        near = did_you_mean(str(name), names)
-        raise InputError(what, repr(name), f"one of {', '.join(names)}", f"correct the name{near}")
+        remedy = f"correct the value{did_you_mean(str(name), names)}"
+        raise InputError(what, f"the value {name!r}", f"one of {', '.join(names)}", remedy)
 
 
 def install_text(extra: str) -> str:

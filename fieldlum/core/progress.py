@@ -48,8 +48,7 @@ def part_of_progress(number: int, count: int, what: str = "") -> Iterator[None]:
 
     def show_part(finished: int, total: int, text: str) -> None:
         """Show the progress of the part as that of all parts; the arguments are of `Progress`."""
-        share = (number + finished / max(total, 1)) / count
-        show(round(1000 * share), 1000, what + text)
+        show(round(1000 * (number + finished / max(total, 1)) / count), 1000, what + text)
 
     with shown_by(show_part):
         yield

@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta
 
-from fieldlum.core.errors import InputError, did_you_mean, input_errors, kind_of
+from fieldlum.core.errors import InputError, did_you_mean, input_errors, kind_of, require_name
 from fieldlum.core.files import read_bytes
 
 T = TypeVar("T")
@@ -109,10 +109,8 @@ def _check_keys_and_numbers(hint: Any, value: Any, where: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise InputError(where, f"the value {value}", "a finite number", "correct the value")
     for part in (hint, *(typing.get_args(hint) if isinstance(value, str) else ())):
-        if typing.get_origin(part) is typing.Literal and value not in typing.get_args(part):
-            expected = f"one of {', '.join(map(str, typing.get_args(part)))}"
-            near = did_you_mean(str(value), map(str, typing.get_args(part)))
-            raise InputError(where, f"the value {value!r}", expected, f"correct the value{near}")
+        if typing.get_origin(part) is typing.Literal:
+            require_name(where, value, typing.get_args(part))
     if isinstance(value, list | tuple):
         for number, inner in enumerate(value, start=1):
             _check_keys_and_numbers(hint, inner, f"{where} #{number}")

@@ -685,12 +685,8 @@ def _chosen(
         raise InputError(path, finding, expected, "write only that layer")
     listed = ", ".join(title or "(plain channels)" for title in pictures)[:200]
     if name and name not in pictures:
-        channels = [f"{h.get('name', '')}.{c}".lstrip(".") for h in headers for c in h["channels"]]
-        of_part = ", ".join(c for c in channels if f".{name}." in f".{c}")[:120]
-        finding = f"part {name[:80]} is not one flat picture with luminance: channels {of_part}"
-        finding = finding if of_part else f"no part {name[:80]}"
-        if not any(pictures):
-            raise InputError(path, finding, "no name: the file has one picture", "omit --part")
+        finding = f"no flat picture with luminance in a part {name[:80]}"
+        remedy = remedy if any(pictures) else "omit --part"
         raise InputError(path, finding, f"one of {listed}", remedy)
     part, channels = pictures.get(name) or next(iter(pictures.values()))
     if name or len(headers) == len(pictures) == 1:

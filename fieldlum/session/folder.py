@@ -217,8 +217,7 @@ class Session:
 
         now_utc: the present time. Raises InputError as `table` does.
         """
-        earliest_utc = now_utc - self.grace
-        return [slot for slot in slots if slot.t_utc >= earliest_utc]
+        return [slot for slot in slots if slot.t_utc >= now_utc - self.grace]
 
     def panorama_files(self) -> list[Path]:
         """Return the merged panoramas, sorted by name (for names of slots, in order of time)."""
@@ -300,16 +299,6 @@ def _open(path: Path, flags: int) -> int:
 
 
 files.opener = _open
-
-
-def refuse_captured(path: Path) -> None:
-    """Raise InputError for a path in raw/ or irradiance/ of a session: no result belongs there."""
-    for place in (path.absolute(), path.resolve()):  # raw/ may be a link to another disk
-        for root in place.parents:
-            captured = root / place.relative_to(root).parts[0]
-            if captured.name in ("raw", "irradiance") and (root / "session.toml").is_file():
-                found = f"in {captured}, which has what was captured"
-                raise InputError(path, found, "a place for results", "name another folder")
 
 
 def open_session(root: Path) -> Session:

@@ -316,8 +316,8 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
     """Read the captures of usable rows, align the pictures, remove the sun disc and fill gaps.
 
     Captures whose camera turned too far to be aligned, and those by day without light, as with the
-    lens cap on, are left out. path: of the csv; notes: those
-    on its rows, to which notes on the pictures are added. Raises InputError, as `load_pairs`.
+    lens cap on, are left out. path: of the csv; notes: those on its rows, to which notes on the
+    pictures are added. Raises InputError, as `load_pairs`.
     """
     altitude, azimuth = sun_of_rows(path, rows, setup.site)
     light = Light(
@@ -333,8 +333,7 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
     is_lit = (data.luminance_cdm2 > _DARK_CDM2).mean(axis=(1, 2)) > 0.01
     remedy = "check lens cap, blinds and exposures, and capture again"
     if not is_lit.any():
-        finding = f"no light in {counted(len(rows), 'picture')}"
-        raise InputError(path, finding, "a daylit room", remedy)
+        raise InputError(path, f"no light in {counted(len(rows), 'picture')}", "daylight", remedy)
     if not (is_lit := is_lit | (light.dhi_wm2 < _DAY_WM2)).all():
         named = ", ".join(data.take(~is_lit).slots)
         notes.append(f"WARNING: not used, because they are dark by day: {named}: {remedy}")
@@ -343,8 +342,7 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
     sun_deg = np.where(light.direct_lx > 1000.0, altitude, np.nan)  # 10 W/m2 of DNI
     turns = camera_turns(np.nan_to_num(data.luminance_cdm2), data.seen, heading, sun_deg)
     if not turns.aligned.any():
-        expected = "several of the same view"
-        raise InputError(path, "no two pictures have the same edges", expected, remedy)
+        raise InputError(path, "no two pictures have the same edges", "one view", remedy)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
         at = (float(light.apparent_altitude_deg[k]), float(azimuth[k]))
         take_disc_out(data, k, at, shown_place(*at, heading, turns.angles_deg[k]))

@@ -8,6 +8,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import monotonic, process_time
 from typing import Any, NamedTuple
@@ -125,12 +126,11 @@ def evaluate_folds(
     """
     parts: list[scoring.Scores] = []
     times: list[Spent] = []
-    fold_s = budget_s and budget_s / len(folds)
+    budget_s = budget_s and budget_s / len(folds)
+    fit = partial(fit_timed, name, patch=patch, seed=seed, budget_s=budget_s)
     for k, held in enumerate(folds):
         with part_of_progress(k, len(folds), f"{name} without some days, "):
-            fitted, spent = fit_timed(
-                name, data.take(~held), patch=patch, seed=seed, budget_s=fold_s
-            )
+            fitted, spent = fit(data.take(~held))
         parts.append(scoring.evaluate(fitted, scoring.truth(data.take(held))))
         times.append(spent)
     wall_s, cpu_s = np.mean(times, axis=0).tolist()

@@ -418,9 +418,9 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
         warnings.append(_contradiction(data, rows[~full], factor[~full], subject))
     if len(changes.doubtful):
         warnings.append(
-            f"WARNING: {data.days[changes.doubtful[0]]} is brighter than the other days of its "
-            "season, or these are darker; it is unclear which changed, and all are used: look at "
-            "the pictures, and leave out or mark the captures of a moved blind or wrong irradiance"
+            f"WARNING: {data.days[changes.doubtful[0]]} is brighter than its season's other days, "
+            "or these are darker; it is unclear which changed, and all are used: look at the "
+            "pictures, and leave out or mark captures with a moved blind or wrong irradiance"
         )
     changed = np.union1d(changes.lamp, rows)
     data = data.take(np.setdiff1d(np.arange(len(data)), changed))
