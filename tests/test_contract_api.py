@@ -138,7 +138,7 @@ def test_glare_of_a_map_is_that_of_its_file(tmp_path: Path) -> None:
 def test_an_impossible_argument_of_fit_is_named(wrong: dict[str, Any], expected: str) -> None:
     """A wrong name was a KeyError, and a wrong way to use sun patches was accepted."""
     ((name, value),) = wrong.items()
-    with pytest.raises(InputError, match=f"{name}: {value!r}; expected {expected}"):
+    with pytest.raises(InputError, match=f"{name}: .*{value!r}; expected {expected}"):
         fieldlum.fit(dataset(("2027-03-20",)), **wrong)
 
 
@@ -152,7 +152,7 @@ def test_an_impossible_argument_of_fit_is_named(wrong: dict[str, Any], expected:
 )
 def test_an_impossible_argument_of_a_plan_is_named(wrong: dict[str, Any], expected: str) -> None:
     ((name, value),) = wrong.items()
-    with pytest.raises(InputError, match=f"{name}: {value!r}; expected {expected}"):
+    with pytest.raises(InputError, match=f"{name}: .*{value!r}; expected {expected}"):
         fieldlum.plan_captures(OFFICE, **wrong)
 
 

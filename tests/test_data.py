@@ -345,5 +345,5 @@ def test_pictures_without_light_are_named_and_not_learnt(tmp_path: Path, cdm2: f
 def test_pictures_without_any_edge_are_no_room(tmp_path: Path) -> None:
     data = dataset(("2027-03-20",), height=40)
     flat = replace(data, luminance_cdm2=np.full_like(data.luminance_cdm2, 50.0))
-    with pytest.raises(InputError, match="no two pictures have the same edges; expected several"):
+    with pytest.raises(InputError, match="no two pictures have the same edges; expected one view"):
         load_pairs(write_pairs(tmp_path, flat))

@@ -10,11 +10,9 @@ from places import SEATTLE
 from fieldlum.core.records import Room, Window
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.light_similarity import (
-    CAPTURE_NOISE,
     Facades,
     Kernel,
     facades_of,
-    greedy_hours,
     light_features,
 )
 
@@ -100,25 +98,6 @@ def test_sun_behind_the_facade_teaches_little() -> None:
 def f_azimuth(f: object) -> float:
     x, y, _ = f.direction[0]  # pyright: ignore
     return float(np.degrees(np.arctan2(x, y)))
-
-
-@pytest.mark.property
-def test_greedy_equals_brute_force() -> None:
-    f = light_features(LIGHT)
-    kernel = KERNELS[0]
-    rows = greedy_hours(kernel, f, f[:15], 4).tolist()
-    prior = kernel.diagonal(f)
-
-    def left(index: list[int]) -> float:
-        known = kernel(f[index], f[index]) + CAPTURE_NOISE * np.eye(len(index))
-        cross = kernel(f, f[index])
-        explained = np.einsum("ij,ij->i", cross, np.linalg.solve(known, cross.T).T)
-        return float((prior - explained).sum() / prior.sum())
-
-    for k, row in enumerate(rows):
-        scores = {i: left([*rows[:k], i]) for i in range(15) if i not in rows[:k]}
-        assert scores[row] == pytest.approx(min(scores.values()), abs=1e-6)
-    assert sorted(greedy_hours(kernel, f, f[:15], 40).tolist()) == list(range(15))
 
 
 @pytest.mark.contract

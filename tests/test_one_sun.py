@@ -3,7 +3,6 @@
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -38,7 +37,8 @@ class _KeepsPatch:
 
     def predict(self, light: Light, patch: np.ndarray) -> Any:
         self.patch = patch
-        return SimpleNamespace(luminance_cdm2=np.ones_like(patch))
+        trusted = np.ones(len(patch), bool)
+        return Prediction(np.ones_like(patch), None, np.zeros(len(patch)), trusted)
 
 
 def predicted_patch(light: Light) -> np.ndarray:

@@ -13,7 +13,6 @@ from places import SEATTLE
 
 from fieldlum import plan
 from fieldlum.cli import main
-from fieldlum.core.arrays import Indices
 from fieldlum.core.plot_style import svg_of
 from fieldlum.core.records import (
     CameraSetup,
@@ -37,14 +36,6 @@ from fieldlum.plan.capture_days import (
 from fieldlum.session import Journal, create_session, open_session
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
-from fieldlum.sky.daylight import light_at
-from fieldlum.sky.light_similarity import (
-    CAPTURE_NOISE,
-    Features,
-    Kernel,
-    facades_of,
-    light_features,
-)
 from fieldlum.weather import Weather, synthetic_weather
 
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1),))
@@ -85,33 +76,6 @@ def test_medoids_find_clusters() -> None:
     centres = np.array([[0, 0], [10, 0], [0, 10], [10, 10]], float)
     cloud = np.repeat(centres, 25, axis=0) + rng.normal(scale=0.2, size=(100, 2))
     assert sorted(capture_days.medoids(cloud, 4, rng) // 25) == [0, 1, 2, 3]
-
-
-@pytest.mark.property
-@pytest.mark.slow
-@pytest.mark.property
-def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: DaylightHours) -> None:
-    """Compared is the variance of the year's light that 40 captures leave."""
-    kernel = Kernel(facades_of(ROOM))
-
-    def features(hours: DaylightHours) -> Features:
-        sky = weather.at(hours.t_utc)
-        return light_features(light_at(hours.t_utc, SEATTLE, sky.dni_wm2, sky.dhi_wm2))
-
-    lit = weather.daylight()[::20]
-    everything = light_features(light_at(lit.t_utc, SEATTLE, lit.dni_wm2, lit.dhi_wm2))
-
-    def left(rows: Indices) -> float:
-        captured = features(year[rows])
-        known = kernel(captured, captured) + CAPTURE_NOISE * np.eye(len(rows))
-        cross = kernel(everything, captured)
-        explained = np.einsum("ij,ij->i", cross, np.linalg.solve(known, cross.T).T)
-        return float(1.0 - explained.sum() / kernel.diagonal(everything).sum())
-
-    even = capture_days.even_hours(year, weather, 40, np.random.default_rng(1))
-    best = capture_days.best_hours(year, weather, SEATTLE, ROOM, 40)
-    daylit = np.flatnonzero(weather.at(year.t_utc).dhi_wm2 > 0)
-    assert left(best) < left(even) < 0.3 * left(daylit[:40])
 
 
 @pytest.mark.slow
@@ -351,7 +315,7 @@ def test_command_best_and_replan(tmp_path: Path, weather: Weather) -> None:
         return json.loads(found.stdout)
 
     base = ("--year", "2027", "--weather", file)
-    made = call(site, "--set", "best", "--count", "5", *base, "--out", out)
+    made = call(site, "--set", "even", "--count", "5", *base, "--out", out)
     assert made["slots"] == 5 and made["coverage"]["both_percent"] > 0
     assert (out / "plan.ics").exists() and (out / "plan.html").exists()
     past = call(site, "--set", "month", "--start", start, "--days", "1", "--out", tmp_path / "p")

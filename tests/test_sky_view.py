@@ -103,6 +103,22 @@ def test_a_uniform_sky_through_tinted_and_clear_glass() -> None:
 
 
 @pytest.mark.analytic
+def test_dark_glass_is_no_sky_until_a_capture_shows_the_disc() -> None:
+    """A facade that fills the view follows the sky at a tenth of it, too (a room by Mitsuba)."""
+    pictures = _pictures(np.ones((32, 32)), 0.1)
+    suns = np.array(GRID.pixels(LIGHT.apparent_sun_direction))
+    inside = (np.abs(suns - 16.0) < 12.0).all(axis=0) & (LIGHT.direct_lx > 10_000.0)
+    unknown = _view(pictures)
+    known = _view(pictures, np.where(inside, 0.1, np.nan))
+    for view, best, low in ((unknown, 0.0, 0.0), (known, 0.1, 0.05)):
+        disc = disc_of_hours(view, LIGHT[inside])
+        share = [np.median(lx / LIGHT.direct_lx[inside]) for lx in (disc.best_lx, disc.low_lx)]
+        assert share[0] == pytest.approx(best, rel=0.15) and share[1] >= low
+        assert (disc.high_lx > 0.1 * LIGHT.direct_lx[inside]).mean() > 0.9
+    assert unknown.pose == CameraPose(axis_deg=GRID.heading_deg)
+
+
+@pytest.mark.analytic
 def test_a_strip_of_two_half_open_pixels_has_the_glass_of_wider_panes() -> None:
     """No pixel of it is all open: its own brightness does not tell the glass from the openness."""
     openness = np.zeros((32, 32))
@@ -343,9 +359,12 @@ def test_edges_of_sky_behind_dark_glass_are_as_sharp_as_behind_clear_glass() -> 
     openness = np.zeros((32, 32))
     openness[4:28, 4:28], openness[4:28, 27:29] = 1.0, 0.5
     fine = replace(GRID, step_deg=0.125, height=256, width=256).rays()
+    suns = np.array(GRID.pixels(LIGHT.apparent_sun_direction))
+    inside = (np.abs(suns - 16.0) < 8.0).all(axis=0) & (LIGHT.direct_lx > 10_000.0)
     widths = []
     for tau in (0.6, 0.15):
-        view = _view(_pictures(openness, tau, foreground=0.1 * tau * _shade()))
+        shares = np.where(inside, tau, np.nan)
+        view = _view(_pictures(openness, tau, foreground=0.1 * tau * _shade()), shares)
         _, low, high = view.beam_shares(fine)
         widths.append(((high - low) / tau)[:, 208:].mean())
     assert widths[1] == pytest.approx(widths[0], rel=0.1)

@@ -123,7 +123,7 @@ def test_the_budget_of_a_year_sums_to_monte_carlo() -> None:
     ev = rng.uniform(200, 6000, (1500, 1))
     values = dgp(ev, ev**2 * 20)
     u_maps = np.full_like(values, 0.02)
-    doubt = DgpUncertainty(("seen",), values, values, values[None], u_maps, u_maps >= 0.0)
+    doubt = DgpUncertainty(("seen",), values, values, values[None], u_maps)
     (row,) = year_budget(values, ev, doubt, 3000, np.array([180.0]), {"scale": 0.04})
     slope, drawn = dgp_per_scale(values, ev), []
     for _ in range(800):

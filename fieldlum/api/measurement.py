@@ -241,14 +241,14 @@ def plan_captures(
     site
         A loaded site, or the path of a SITE.toml.
     capture_set
-        ``month``, ``9-day``, ``12-day``, ``4-day``, ``even`` or ``best`` (docs/planning.md).
+        ``month``, ``9-day``, ``12-day``, ``4-day`` or ``even`` (docs/planning.md).
     out
         A new session folder for the plan; None writes nothing.
     start, year, days
         First local date; year of the equinoxes and solstices, or of a first date on 1 January;
-        number of days, for ``month``, ``even`` and ``best``.
+        number of days, for ``month`` and ``even``.
     count
-        Number of hours of ``even`` (default 200) and ``best`` (default 50).
+        Number of hours of ``even`` (default 200).
     weather
         The site's weather year; ``best`` requires it.
     today

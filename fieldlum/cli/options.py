@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 else:
     OpenSession = Any  # the argument SESSION: the session of the folder that the user names
 
-CaptureSet = Literal["month", "9-day", "12-day", "4-day", "even", "best"]
+CaptureSet = Literal["month", "9-day", "12-day", "4-day", "even"]
 Above0 = Annotated[float, click.FloatRange(min=0, min_open=True)]
 Azimuths = Annotated[tuple[float, ...], click.FloatRange(-360, 360)]
 Port = Annotated[int, click.IntRange(0, 65535)]

@@ -36,11 +36,11 @@ def command(
       fieldlum plan office-2027 --replan
 
     Options:
-      --set: Which hours of the year to capture; best needs --weather.
+      --set: Which hours of the year to capture.
       --start YYYY-MM-DD: First day, local date. [default: the next possible one]
       --year: Plan the events of this year, in place of --start.
-      --days: Number of days of a month (31), or of the period for even and best (365).
-      --count: Number of hours, for even (200) and best (50).
+      --days: Number of days of a month (31), or of the period for even (365).
+      --count: Number of hours, for even (200).
       --weather: Weather year (EPW, TMY3 or CSV), for skies and coverage.
       --out: The session folder to write.
       --replan: Add make-up slots for the missed ones.
@@ -65,13 +65,10 @@ def command(
             label_shift_min and not weather_file
         ),
         f"name --set and --out, {example}": not replan and not (set_ and out),
-        "the best hours depend on the climate: name a weather year with --weather FILE": (
-            set_ == "best" and not weather_file
-        ),
         "--start: expected a year from 1950 to 2100": day and not 1950 <= day.year <= 2100,
         "--start and --year exclude each other: use one of them": day and year,
-        "--count needs --set even or best": count and set_ not in ("even", "best"),
-        "--days needs --set month, even or best": days and set_ not in ("month", "even", "best"),
+        "--count needs --set even": count and set_ != "even",
+        "--days needs --set month or even": days and set_ not in ("month", "even"),
     }
     if text := next((text for text, is_wrong in wrong.items() if is_wrong), ""):
         raise click.UsageError(text)

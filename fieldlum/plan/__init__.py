@@ -28,11 +28,11 @@ from fieldlum.weather import Weather
 class Request:
     """The options of the command `plan`; None where the user states none.
 
-    set: 4-day, 9-day, 12-day, month, even or best (see `capture_days.days_of_set`); today: the
+    set: 4-day, 9-day, 12-day, month or even (see `capture_days.days_of_set`); today: the
     local standard date; start: first date, or the earliest for 4-day, 9-day and 12-day; year: of
     the equinoxes and solstices, or of a first date on 1 January; days: number of days, for month
-    (None: 31), even and best (None: 365); count: number of hours, for even (None: 200, as Liu,
-    Colburn and Inanici 2020) and best (None: 50, chosen); seed: of the clusters of even.
+    (None: 31) and even (None: 365); count: number of hours, for even (None: 200, as Liu, Colburn
+    and Inanici 2020); seed: of the clusters of even.
     """
 
     set: str
@@ -122,10 +122,9 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
     """Return the plan of a set: slots, cost, coverage and warnings; write nothing.
 
     setup: of the site; request: names the set. weather: a weather year of the site, for the
-    coverage of its daylight and the hours of the set even; the set best needs one. Raises
-    NotEnoughDataError if no hour of the set has the sun above the horizon, if best has no weather,
-    or if even or best has weather without daylight on the days of the set; InputError for an
-    unknown set, and for a profile, filter or room that cannot be used.
+    coverage of its daylight and the hours of the set even. Raises NotEnoughDataError if no hour of
+    the set has the sun above the horizon, or if even has weather without daylight on the days of
+    the set; InputError for an unknown set, and for a profile, filter or room that cannot be used.
     """
     site, room = setup.site, setup.room
     dates = (request.start, request.year, request.days)
@@ -137,11 +136,6 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
     if request.set == "even":
         rng = np.random.default_rng(request.seed)
         hours = hours[capture_days.even_hours(hours, weather, request.count or 200, rng)]
-    elif request.set == "best":
-        if weather is None:
-            found = "the best hours depend on the climate"
-            raise NotEnoughDataError(f"{found}; state a weather year with --weather FILE")
-        hours = hours[capture_days.best_hours(hours, weather, site, room, request.count or 50)]
     remedy = "choose its dates with --start or --year, or another weather file"
     _refuse_empty(hours, f"the weather file has no daylight {from_to}", remedy)
     profile = profiles.load_camera_profile(setup.camera.profile)
@@ -292,7 +286,7 @@ def plan_warnings(
     """
     zone = site.timezone
     hours_by_day = Counter(sun.standard_date(t, zone) for t in hours.t_utc)
-    if request.set not in ("even", "best"):
+    if request.set != "even":
         dark, light = (sum(hours_by_day[day] == count for day in days) for count in (0, 24))
         if dark:
             yield f"polar night: no slot on {dark} of {len(days)} days"

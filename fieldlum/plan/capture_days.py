@@ -14,15 +14,12 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Indices, Ints64, Mask
 from fieldlum.core.errors import require_name
-from fieldlum.core.records import Room, Site, Slot
+from fieldlum.core.records import Site, Slot
 from fieldlum.sky import sun
-from fieldlum.sky.daylight import light_at
-from fieldlum.sky.light_similarity import Kernel, facades_of, greedy_hours, light_features
 from fieldlum.weather import Weather
 
-# Sets of docs/planning.md: sets of hours; and by name of sets of days their seasons (indices of
-# `SEASON_TAGS`), and the number of days before and after each.
-HOUR_SETS = ("even", "best")
+# Sets of docs/planning.md: by name of sets of days their seasons (indices of `SEASON_TAGS`), and
+# the number of days before and after each. `month` and `even` have none.
 EVENT_SETS = {"9-day": ((0, 1, 3), 1), "12-day": ((0, 1, 2, 3), 1), "4-day": ((0, 1, 2, 3), 0)}
 SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-solstice")
 
@@ -101,7 +98,7 @@ def days_of_set(
 ) -> list[date]:
     """Return the local standard dates of a capture set, in order of time.
 
-    name: 4-day, 9-day, 12-day, month, even or best, as of `--set`; start, year, days: None if the
+    name: 4-day, 9-day, 12-day, month or even, as of `--set`; start, year, days: None if the
     user states none; today: the local standard date at the site.
 
     - 4-day: equinoxes and solstices; 12-day: with the days before and after; 9-day: the 12-day set
@@ -109,8 +106,8 @@ def days_of_set(
       before `start`, or not before `today` without `start`.
     - month: a number of `days` (default 31) from `start`; without it, centred on the March equinox
       of `year`, or on the next March or September equinox with all days from `today` on.
-    - even, best: a number of `days` (default 365) from `start`, else from 1 January of `year`, else
-      from `today`.
+    - even: a number of `days` (default 365) from `start`, else from 1 January of `year`, else from
+      `today`.
 
     Raises InputError for another name.
     """
@@ -125,7 +122,7 @@ def days_of_set(
         equinoxes, half = (0,) if year is not None else (0, 2), count // 2
         middle = _event_dates(equinoxes, half, today, year, site)[0]
         return span(middle - timedelta(days=half), count)
-    require_name("capture_set", name, (*EVENT_SETS, "month", *HOUR_SETS))
+    require_name("capture_set", name, (*EVENT_SETS, "month", "even"))
     first = start or (date(year, 1, 1) if year is not None else today)
     return span(first, days or 365)
 
@@ -247,15 +244,11 @@ def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -
 
 
 # ----------------------------------------------------------------------------------------------
-# hours that are spread evenly over suns and skies, or that together teach the most
+# hours that are spread evenly over suns and skies
 
 
 # Irradiances that count as 1 in `even_hours`: DNI and DHI (Liu, Colburn and Inanici 2020).
 _FULL_WM2 = (1100.0, 700.0)
-# Number of hours that represent the weather year, and of candidates for the greedy choice, whose
-# memory grows with their square. Chosen so that the ranking is stable; not measured.
-YEAR_HOURS = 800
-POOL_HOURS = 2200
 
 
 def medoids(points: Floats, count: int, rng: np.random.Generator) -> Indices:
@@ -299,25 +292,3 @@ def even_hours(
     # Halve the direction, so that each of its axes has a range of one, as the irradiances have.
     points = np.concatenate([suns / 2, sky], axis=1)  # [n, 5]
     return with_weather[medoids(points[with_weather], count, rng)]
-
-
-def best_hours(
-    hours: DaylightHours, weather: Weather, site: Site, room: Room | None, count: int
-) -> Indices:
-    """Return ascending indices of the hours whose captures would most lower the uncertainty.
-
-    They are at most `count`, indices into `hours`. The uncertainty is the variance of the light of
-    the weather year's daylight hours that remains after the captures, by the covariance kernel of
-    the transport model for the facades of `room` (None: unknown facades). The choice is greedy:
-    each hour is the one that lowers it most, next to those already chosen. Hours without daylight
-    in the weather are not chosen. Of more than 2200 hours, evenly spaced ones can be chosen.
-    """
-    lit = weather.daylight()
-    year = lit[:: max(len(lit) // YEAR_HOURS, 1)]
-    light = weather.at(hours.t_utc)
-    pool = np.flatnonzero(np.isfinite(light.dni_wm2 + light.dhi_wm2) & (light.dhi_wm2 > 0))
-    pool = pool[:: max(-(-len(pool) // POOL_HOURS), 1)]  # rounded up, at most POOL_HOURS remain
-    of_year = light_at(year.t_utc, site, year.dni_wm2, year.dhi_wm2)
-    of_pool = light_at(hours[pool].t_utc, site, light.dni_wm2[pool], light.dhi_wm2[pool])
-    features = (light_features(of_year), light_features(of_pool))
-    return np.sort(pool[greedy_hours(Kernel(facades_of(room)), *features, count)])

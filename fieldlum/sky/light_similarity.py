@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Indices
-from fieldlum.core.progress import progress
+from fieldlum.core.arrays import Array, Floats, Floats32
 from fieldlum.core.records import Room
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
@@ -26,7 +25,6 @@ BEHIND = 0.1
 # Typical cosine between facade and sun, so that the facade factor is about the beam's share.
 # Chosen.
 FACING = 0.8
-CAPTURE_NOISE = 3e-3  # variance of a capture in units of the kernel, 5 %; chosen
 LAMP_LX = 1000.0  # light outside [lx] at which a lamp's share is about one; chosen
 # Azimuths of the walls relative to the room's south wall.
 WALLS_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
@@ -171,29 +169,3 @@ def _facade(a: Features, facades: Facades) -> Floats:
     """Return the sun's share of the light on each of f facades in n hours, weighted, [n, f]."""
     on = BEHIND + np.maximum(a.direction @ facades.normals.T, 0.0)
     return a.beam[:, None] * on / FACING * np.sqrt(facades.weights)
-
-
-# ----------------------------------------------------------------------------------------------
-# choosing hours
-
-
-def greedy_hours(kernel: Kernel, year: Features, pool: Features, count: int) -> Indices:
-    """Return the rows of the `count` hours of `pool` whose captures predict `year` best, [count].
-
-    They are in the order of choice: each most reduces the variance over `year` that the previous
-    ones leave (greedy choice). All rows if the pool has fewer hours. year, pool: features of the
-    hours to predict and of the hours that can be chosen; no picture is needed. kernel: covariance
-    between the light of two sets of hours. Cost: O((len(year) + len(pool)) len(pool) count).
-    """
-    year_pool, pool_covariance = kernel(year, pool), kernel(pool, pool)
-    not_chosen, chosen = np.ones(len(pool), bool), []
-    for step in range(min(count, len(pool))):
-        variances = np.maximum(np.diagonal(pool_covariance), 0.0) + CAPTURE_NOISE
-        best = int(np.argmax(np.where(not_chosen, (year_pool**2).sum(axis=0) / variances, -1.0)))
-        not_chosen[best] = False
-        chosen.append(best)
-        row = pool_covariance[best] / variances[best]
-        year_pool = year_pool - np.outer(year_pool[:, best], row)
-        pool_covariance = pool_covariance - np.outer(pool_covariance[:, best], row)
-        progress(step + 1, count, "hours chosen")
-    return np.array(chosen, np.intp)

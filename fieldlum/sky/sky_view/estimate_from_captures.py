@@ -136,7 +136,8 @@ def sky_view_of(
     captured = replace(captured, light=replace(captured.light, states=None))
     first = "" if "" in by_state else max(by_state, key=lambda state: len(by_state[state]))
     pose = pose_of_discs(partly_hidden(discs, captured), site, heading_deg)
-    main = estimate(captured.take(by_state.pop(first)), seen, pose, site.latitude_deg)
+    rows = by_state.pop(first)
+    main = estimate(captured.take(rows), seen, pose, site.latitude_deg, is_marked=bool(first))
     views, notes = [*main.others], [*main.notes]
     for state, rows in sorted(by_state.items()):
         text = f"{state}: {counted(len(rows), 'capture')}"
@@ -179,6 +180,7 @@ def estimate(
     pose: CameraPose | None = None,
     latitude_deg: float | None = None,
     usual: SkyView | None = None,
+    is_marked: bool = False,
 ) -> SkyView:
     """Return the sky view of captures by daylight in one state of the room, with its seasons.
 
@@ -186,16 +188,20 @@ def estimate(
     but no sky picture has it, merge found it too dark for the sky. pose: of the camera, None for
     the stated heading. latitude_deg: of the room, which limits the directions that the sun reaches;
     None if unknown. usual: the view of the usual state, with the same pose, if the captures are of
-    another state.
+    another state. is_marked: whether their state is that of a marked blind or tint.
     """
-    stack = replace(_stack(captured, seen, usual), latitude_deg=latitude_deg)
+    is_sure = is_marked or usual is not None or bool((captured.disc_share > _SHUT).any())
+    stack = _stack(captured, seen, usual)
+    stack = replace(stack, latitude_deg=latitude_deg, is_sure=is_sure)
     pose = pose or CameraPose(axis_deg=stack.grid.heading_deg)
     covered = np.zeros(len(stack.light), bool) if usual else _covered(stack, pose)
     rest = np.setdiff1d(np.arange(len(captured.light)), stack.rows[covered])
     covered_utc = stack.light[covered].t_utc
     stack = stack.take(np.flatnonzero(~covered)) if covered.any() else stack
     decided = _decided(stack, pose)
-    if usual is None and (turned := _turned(stack, decided.view)) is not pose:
+    # Darker than sky behind clear glass, it can be a facade, which does not turn with the sky.
+    is_sky = usual is None and decided.reference.brightest > _CLEAR_GLASS
+    if is_sky and (turned := _turned(stack, decided.view)) is not pose:
         decided = _decided(stack, turned)
     decided = _over_seasons(decided, stack)
     view = _checked(decided, captured.take(rest.tolist()), covered_utc)
@@ -214,7 +220,8 @@ class _Stack:
     pixels. luminance_cdm2 [n, p]: NaN where clipped or not seen. dark [h, w]: pixels that a lens
     saw, but that no picture has, because they are too dark; usually [h, w]: upper bound of the
     beam's share in the usual state of the room, 0 if the pictures are of that state. latitude_deg:
-    of the place, None if the sun's path is not to be used.
+    of the place, None if the sun's path is not to be used. is_sure: whether a capture shows the
+    sun's disc, the usual view is known, or a tint or blind is marked.
     """
 
     grid: SkyGrid
@@ -225,6 +232,7 @@ class _Stack:
     usually: Floats
     luminance_cdm2: Floats32
     latitude_deg: float | None = None
+    is_sure: bool = True
 
     def placed(self, values: Array) -> Floats:
         """Return values [p] on the grid, [h, w], NaN for other pixels."""
@@ -334,6 +342,9 @@ def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = N
     bright |= apart & ~slats & dim & is_behind
     few = followed.count < MIN_CAPTURES
     undecided = scatters | bright | few
+    if brightest < _CLEAR_GLASS and not stack.is_sure:  # a facade can follow the sky as well
+        undecided |= sky | mixed
+        low, openness = np.zeros_like(low), np.where(undecided, 0.0, openness)
     widest = np.clip(1.3 * doubt * ratio, high, 1.0)  # with a margin of 30 %
     low, high = np.where(few | is_behind, 0.0, low), np.where(undecided, widest, high)
     u = np.where(undecided | slats, np.fmax(u, undecided_u(high - low, pane)), u)
