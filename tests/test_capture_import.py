@@ -395,19 +395,29 @@ def test_unusual_columns_are_named_by_the_command(session: Session, tmp_path: Pa
 
 
 @pytest.mark.analytic
-@pytest.mark.parametrize(("ghi", "is_refused"), [(12, True), (0, False), (45, False)])
+@pytest.mark.parametrize(
+    ("ghi", "minutes", "is_refused"),
+    [(12, 30, True), (12, 5, False), (0, 30, False), (-0.3, 30, False), (45, 30, False)],
+)
 def test_a_voltage_is_not_taken_for_irradiance(
-    session: Session, tmp_path: Path, ghi: float, is_refused: bool
+    session: Session, tmp_path: Path, ghi: float, minutes: int, is_refused: bool
 ) -> None:
     """In mV, by 20 uV per W/m2: 600 W/m2 are 12 mV, less than a storm transmits (5 %: 45 W/m2).
 
     Zero is a dead instrument, which `pair` names.
     """
-    row = f"2027-03-20T20:00:00Z,{ghi},700"  # the sun is 42 degrees high
-    (tmp_path / "a.csv").write_text(f"t_utc,ghi_wm2,dni_wm2\n{row}\n")
+    night = "2027-03-20T08:00:00Z,65,0"  # a spike
+    rows = [f"2027-03-20T20:{m:02d}:00Z,{ghi},700" for m in range(minutes)]  # the sun at 42 degrees
+    (tmp_path / "a.csv").write_text("\n".join(["t_utc,ghi_wm2,dni_wm2", night, *rows, ""]))
     words = ["import", str(session.root), "--irradiance", str(tmp_path / "a.csv")]
     done = CliRunner().invoke(main, words)
     assert (done.exit_code == 3) == is_refused, done.output
     if is_refused:
-        assert "ghi_wm2 is at most 12; expected over 1" in done.stderr
-        assert "state --sensitivity ghi_wm2=UV_PER_WM2" in done.stderr and not rows_of(session)
+        assert "ghi_wm2 is under 2% of the sun's light above the atmosphere" in done.stderr
+        assert "and state --sensitivity" in done.stderr and not rows_of(session)
+        renamed = (tmp_path / "a.csv").read_text().replace("ghi_wm2", "ghi_mV")
+        (tmp_path / "a.csv").write_text(renamed)
+        words += ["--column", "ghi_wm2=ghi_mV", "--sensitivity", "ghi_wm2=20"]
+        done = CliRunner().invoke(main, words)
+        assert done.exit_code == 0, done.output
+        assert max(s.ghi_wm2 or 0.0 for s in rows_of(session) if s.dni_wm2) == 600.0

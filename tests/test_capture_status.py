@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from tiny_field import T0, Field
+from tiny_field import Field
 
 from fieldlum.cli import terminal
 from fieldlum.session import (
@@ -19,27 +18,16 @@ from fieldlum.session.stage_status import stage_status
 
 @pytest.mark.contract
 def test_status_counts_from_files_alone(rig: Field) -> None:
-    before = stage_status(rig.session, T0)
+    before = stage_status(rig.session)
     assert before["capture"]["owed"] == 3 and before["capture"]["next"] == "20270320T153000Z"
     rig.run()
-    after = stage_status(rig.session, T0)
+    after = stage_status(rig.session)
     assert (after["capture"]["done"], after["capture"]["frames"], after["merge"]["owed"]) == (
         3,
         9,
         3,
     )
     assert after["irradiance"]["rows"] == sum(len(read_day(p)[0]) for p in day_files(rig.session))
-
-
-@pytest.mark.contract
-@pytest.mark.parametrize(("late_s", "missed"), [(-60, 0), (300, 0), (301, 1), (90_000, 3)])
-def test_slots_whose_time_is_over_are_missed(rig: Field, late_s: int, missed: int) -> None:
-    """A bracket may start until 300 s after its slot, the default of --grace."""
-    answer = stage_status(rig.session, T0 + timedelta(seconds=late_s))
-    capture, slots = answer["capture"], rig.session.slots()
-    assert (capture["missed"], capture["owed"]) == (missed, 3 - missed)
-    assert capture["next"] == (slots[missed].id if missed < 3 else None)
-    assert ("--replan" in answer["next_step"]) == (missed == 3)
 
 
 @pytest.mark.contract
@@ -51,7 +39,7 @@ def test_a_bracket_that_is_being_taken_is_not_to_be_merged(rig: Field) -> None:
     rig.camera_fault = stop
     with pytest.raises(KeyboardInterrupt):
         rig.run()
-    answer = stage_status(rig.session, T0)
+    answer = stage_status(rig.session)
     assert (answer["capture"]["frames"], answer["merge"]["owed"]) == (1, 0)
     assert answer["next_step"] == f"fieldlum capture {rig.session.root}"
 
@@ -64,7 +52,7 @@ def test_pairs_of_a_simulated_truth_are_no_pairs_of_panoramas(rig: Field) -> Non
     rig.session.pairs.write_text(f"t_utc,panorama,dni_wm2,dhi_wm2\n{row}\n", encoding="utf-8")
     rig.session.panoramas.mkdir(exist_ok=True)
     rig.session.panorama(slot).write_bytes(b"")
-    answer = stage_status(rig.session, T0)["pair"]
+    answer = stage_status(rig.session)["pair"]
     assert answer == {"done": 0, "usable": 1, "owed": 1}
 
 
@@ -94,10 +82,9 @@ def test_commands_exit_as_documented(rig: Field, tmp_path: Path) -> None:
     assert code("status", str(tmp_path)) == 3
     assert code("pair", folder) == 5, "nothing was logged"
     told = CliRunner().invoke(main, ["status", folder, "--json"])
-    counts = json.loads(told.stdout)["capture"]  # by the computer's clock
-    assert told.exit_code == 0 and counts["missed"] + counts["owed"] == 3
+    assert told.exit_code == 0 and json.loads(told.stdout)["capture"]["owed"] == 3
     shown = CliRunner().invoke(main, ["status", folder]).stdout
-    assert f"0 done, {counts['missed']} missed, 0 aborted, {counts['owed']} to do" in shown
+    assert "0 done, 0 missed, 0 aborted, 3 to do" in shown
 
 
 @pytest.mark.contract

@@ -342,6 +342,18 @@ def test_pictures_without_light_are_named_and_not_learnt(tmp_path: Path, cdm2: f
 
 
 @pytest.mark.contract
+def test_a_marked_blackout_blind_is_no_lens_cap(tmp_path: Path) -> None:
+    dark = DATA.luminance_cdm2.copy()
+    dark[1:3] = 0.02
+    path = write_pairs(tmp_path, replace(DATA, luminance_cdm2=dark))
+    head, *rows = path.read_text().splitlines()
+    marked = [f"{row},{'blind=down' if k in (1, 2) else ''}" for k, row in enumerate(rows)]
+    path.write_text("\n".join([f"{head},state", *marked, ""]))
+    some = load_pairs(path)
+    assert some.slots == DATA.slots and not any("dark by day" in note for note in some.notes)
+
+
+@pytest.mark.contract
 def test_pictures_without_any_edge_are_no_room(tmp_path: Path) -> None:
     data = dataset(("2027-03-20",), height=40)
     flat = replace(data, luminance_cdm2=np.full_like(data.luminance_cdm2, 50.0))

@@ -153,6 +153,9 @@ def test_one_day_of_any_level_is_found(day: int, days: int, factor: float) -> No
     if factor > 1.0 and days < 9:
         assert not len(changes.unexplained)
         np.testing.assert_array_equal(changes.doubtful, np.flatnonzero(on))
+        kept, notes = without_changes(replace(data, luminance_cdm2=maps), with_patch=True)
+        (day_name,) = np.unique(data.days[on]).astype(str)
+        assert len(kept) == len(data) and f"{day_name} is brighter than its season's" in notes[0]
         return
     np.testing.assert_array_equal(changes.unexplained, np.flatnonzero(on))
 

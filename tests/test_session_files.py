@@ -55,7 +55,7 @@ def test_status_names_each_model_whatever_its_config(session: Session) -> None:
     for name, text in (("a", '{"model": "transport"}'), ("b", "{}"), ("c", "nothing")):
         (session.models / name).mkdir(parents=True)
         (session.models / name / "config.json").write_text(text)
-    assert stage_status(session, SLOT.t_utc)["train"]["models"] == ["a", "b", "c"]
+    assert stage_status(session)["train"]["models"] == ["a", "b", "c"]
 
 
 @pytest.mark.contract

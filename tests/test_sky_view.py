@@ -113,9 +113,30 @@ def test_dark_glass_is_no_sky_until_a_capture_shows_the_disc() -> None:
     for view, best, low in ((unknown, 0.0, 0.0), (known, 0.1, 0.05)):
         disc = disc_of_hours(view, LIGHT[inside])
         share = [np.median(lx / LIGHT.direct_lx[inside]) for lx in (disc.best_lx, disc.low_lx)]
-        assert share[0] == pytest.approx(best, rel=0.15) and share[1] >= low
+        assert share[0] == pytest.approx(best, rel=0.15)
+        assert share[1] >= low and (share[1] == 0.0) == (low == 0.0)
         assert (disc.high_lx > 0.1 * LIGHT.direct_lx[inside]).mean() > 0.9
     assert unknown.pose == CameraPose(axis_deg=GRID.heading_deg)
+    assert "no disc is certain until a clear hour shows one" in " ".join(unknown.notes)
+    assert "no disc is certain" not in " ".join(known.notes)
+
+
+@pytest.mark.analytic
+def test_a_marked_tint_has_a_heading_by_its_sky() -> None:
+    """Four degrees off; its darkness is known, so that it is no facade."""
+    openness = np.zeros((32, 32))
+    openness[4:28, 4:28] = 1.0
+    rays = GRID.rays().reshape(-1, 3) @ rotation(4.0, 0.0, 0.0, 180.0).T
+    sky = LIGHT.sky_at(rays).reshape(-1, 32, 32) * _clouds()
+    pictures = openness * 0.2 * sky + (1.0 - openness) * 0.01 * _shade()
+    light = replace(LIGHT, states=("tint=full",) * len(LIGHT))
+    clipped, shares = np.zeros((32, 32), bool), np.full(len(LIGHT), np.nan)
+    captured = Captured(
+        light, lambda k: SkyPicture(pictures[k].astype(np.float32), clipped, GRID), shares
+    )
+    view = sky_view_of(captured, NO_DISCS, SITE, 180.0)
+    assert view.pose.heading_sd_deg < 1.0 and np.median(view.low[8:24, 8:24]) > 0.1
+    assert abs(view.pose.values[0] - 4.0) < 3.0 * view.pose.heading_sd_deg
 
 
 @pytest.mark.analytic

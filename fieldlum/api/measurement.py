@@ -250,7 +250,7 @@ def plan_captures(
     count
         Number of hours of ``even`` (default 200).
     weather
-        The site's weather year; ``best`` requires it.
+        The site's weather year.
     today
         Local date from which the next event is counted; default: today.
 
@@ -262,7 +262,7 @@ def plan_captures(
     Raises
     ------
     NotEnoughDataError
-        The sun does not rise in the window, ``best`` has no weather, or the weather is of other
+        The sun does not rise in the window, or the weather is of other
         dates.
     InputError
         `out` is a session already, or the site or its camera profile cannot be used.

@@ -12,7 +12,7 @@ from fieldlum.calibrate.fit_charts import Chart
 from fieldlum.calibrate.fit_steps import OrderSelection, fit_and_choose, require
 from fieldlum.core.arrays import Floats, Indices, Mask, UInts8
 from fieldlum.core.errors import InputError
-from fieldlum.core.progress import progress
+from fieldlum.core.progress import part_of_progress, progress
 from fieldlum.core.records import Exposure
 from fieldlum.core.statistics import median_standard_error, robust_sigma
 from fieldlum.optics.camera_curves import dark_floor, fit_response, response_table
@@ -218,7 +218,10 @@ def sample(
     sizes or with fewer than three exposures, NotEnoughDataError for one with fewer than 50 flat,
     well exposed places.
     """
-    parts = [_flat_places(paths, profile, rng) for paths in brackets]
+    parts = []
+    for k, paths in enumerate(brackets):
+        with part_of_progress(k, len(brackets)):
+            parts.append(_flat_places(paths, profile, rng))
     nominal_s = [exposure.shutter_s for _, exposures in parts for exposure in exposures]
     law = stated_law(nominal_s, profile.shutter_law, profile.camera.model)
     lawful, axes = replace(profile, shutter_law=law.law), []

@@ -26,8 +26,8 @@ from fieldlum.sky import sun
 
 # Of the irradiance above the atmosphere. The darkest storm transmits 5 % (`sun.too_weak`). Of 1
 # W/m2, a thermopile gives 0.005 to 0.02 mV (ISO 9060 instruments), which a clear sky scales by 0.8.
-# The share holds for a sun above 10 degrees.
-_DARKEST_SHARE, _HIGH_SUN_SINE = 0.02, 0.17
+# The share holds for a sun above 10 degrees; of fewer rows, one dark hour could be all. Chosen.
+_DARKEST_SHARE, _HIGH_SUN_SINE, _HIGH_SUN_ROWS = 0.02, 0.17, 20
 
 
 def import_rows(
@@ -74,17 +74,20 @@ def import_rows(
 def _refuse_voltage(path: Path, rows: Sequence[IrradianceSample], name: str, site: Site) -> None:
     """Raise InputError if an irradiance is too small for any sky, as a voltage is.
 
-    rows: those of the file that have the quantity; name: ghi_wm2 or dhi_wm2; site: of the
-    session. The largest value is compared with the highest sun of up to 1000 rows.
+    rows: those of the file that have the quantity; name: ghi_wm2 or dhi_wm2; site: of the session.
+    Of up to 1000 rows, at least 20 must have the sun over 10 degrees, and 95 % of these must have
+    less than the darkest sky. Values that are 0 or below, as of a dead instrument, pass.
     """
-    some_utc = [rows[k].t_utc for k in evenly_spread(len(rows), 1000)]
-    sine = np.sin(np.radians(sun.position(some_utc, site).altitude_deg))
-    least_wm2 = float(_DARKEST_SHARE * (sun.extraterrestrial_wm2(some_utc) * sine).max())
-    largest_wm2 = max(getattr(row, name) for row in rows)
-    if sine.max() > _HIGH_SUN_SINE and 0.0 < largest_wm2 < least_wm2:
-        expected = f"over {least_wm2:.0f} W/m2 by day, even under the darkest cloud"
-        remedy = f"if it is a voltage, state --sensitivity {name}=UV_PER_WM2; else check unit"
-        raise InputError(path, f"{name} is at most {largest_wm2:.3g}", expected, f"{remedy}, clock")
+    some = [rows[k] for k in evenly_spread(len(rows), 1000)]
+    times = [row.t_utc for row in some]
+    sine = np.sin(np.radians(sun.position(times, site).altitude_deg))
+    largest = sun.extraterrestrial_wm2(times) * np.maximum(sine, _HIGH_SUN_SINE)
+    share = (np.array([getattr(row, name) for row in some]) / largest)[sine > _HIGH_SUN_SINE]
+    if len(share) >= _HIGH_SUN_ROWS and 0.0 < np.quantile(share, 0.95) < _DARKEST_SHARE:
+        found = f"{name} is under {_DARKEST_SHARE:.0%} of the sun's light above the atmosphere"
+        remedy = "name a voltage's unit in its column, such as ghi_mV, and state --sensitivity"
+        remedy += "; remove the column of a covered or dead instrument"
+        raise InputError(path, found, "more by day, even under the darkest cloud", remedy)
 
 
 def _check_civil_time(path: Path, times: Sequence[datetime], zone: ZoneInfo) -> None:

@@ -81,7 +81,7 @@ def describe(path: Path, part: str = "") -> Facts:
     if suffix in readers:
         return readers[suffix](path)
     found = kind_of(read_bytes(path)[:64]) or "a file of an unknown kind"
-    expected, remedy = "a frame, picture, profile, csv, or folder", "name such a file"
+    expected, remedy = "a frame, .exr, .hdr, profile, csv or folder", "name such a file"
     if suffix in (".epw", ".tm2", ".wea"):
         found, remedy = "a weather file", "read it with: fieldlum predict MODELDIR --weather FILE"
     raise InputError(path, found, expected, remedy)

@@ -26,14 +26,12 @@ def command(
       --mark SLOT STATE: Record the room's state at a slot: lamp=on|off, blind=up|half|down,
           tint=clear|half|full, snow=yes|no.
     """
-    from datetime import UTC, datetime
-
     from fieldlum.session import mark_slot
     from fieldlum.session.stage_status import stage_status
 
     if mark is not None:
         terminal.say(f"{mark[0]}: {mark_slot(session, *mark) or 'as usual'}")
-    answer = stage_status(session, datetime.now(UTC))
+    answer = stage_status(session)
     terminal.print_answer(as_json, answer, _lines(answer))
 
 

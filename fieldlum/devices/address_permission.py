@@ -10,7 +10,7 @@ import shutil
 from pathlib import Path
 
 from fieldlum.core.errors import DeviceError, InputError
-from fieldlum.devices import parse_uri
+from fieldlum.devices import CAMERAS, METERS, PYRANOMETERS, parse_uri
 from fieldlum.session import sha256
 from fieldlum.session.permits import Subject, is_permitted, subject
 
@@ -76,6 +76,8 @@ def require_permitted(text: str, source: Path, option: str) -> None:
     devices need none. The user permits an address by a command that names it. text: the address;
     source: the session.toml that states it; option: of the command, such as --camera.
     """
+    if text.partition(":")[0] not in {*CAMERAS, *METERS, *PYRANOMETERS}:
+        return  # opening the device reports it
     try:
         wanted = permission_subject(text)
     except DeviceError:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import groupby
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any
 
@@ -271,14 +271,19 @@ def merge_shots(
     floating = floating_white_balance(shots, profile)
     if floating:
         profile = replace(profile, colour=replace(profile.colour, melanopic_from_rgb=()))
-    images, findings = [], []
-    for heading, group in groupby(sorted_shots(shots, profile), key=lambda s: s.heading_deg):
+    images, findings, views = [], [], []
+    groups = groupby(sorted_shots(shots, profile), key=lambda s: s.heading_deg)
+    groups = [(heading, list(group)) for heading, group in groups]
+    count = len(groups) * (1 + len(profile.lens))  # of steps whose progress is shown as one
+    for heading, group in groups:
         turn_deg = 0.0 if heading is None else heading - heading_deg
-        image, part = merge_sensor(list(group), profile, fit=options.fit, turn_deg=turn_deg)
+        with part_of_progress(len(images), count):
+            image, part = merge_sensor(group, profile, fit=options.fit, turn_deg=turn_deg)
         images.append(image)
         findings.append(part)
-    with part_of_progress(2, 3):
-        views = [view_through(image, lens, target) for image in images for lens in profile.lens]
+    for image, lens in product(images, profile.lens):
+        with part_of_progress(len(images) + len(views), count):
+            views.append(view_through(image, lens, target))
     seen = blend(views)
     panorama = finished_map(seen, profile, target, heading_deg=heading_deg, t_utc=middle_of(shots))
     assert panorama.flags is not None  # by `finished_map`

@@ -218,7 +218,7 @@ def merge_sensor(
     shots, absent = _without_absent_filters(shots, profile, crop)
     nominal_s = [shot.exposure.shutter_s for shot in shots]
     law = stated_law(nominal_s, profile.shutter_law, profile.camera.model)
-    with part_of_progress(0, 3):  # merging the frames and projecting the map are the other two
+    with part_of_progress(0, 2):
         frames, saturation = read_frames(shots, replace(profile, shutter_law=law.law), crop)
     lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]
     names = [shot.path.name for shot in shots]
@@ -228,7 +228,7 @@ def merge_sensor(
     noise = noise_factors(samples, exposures.fit.correction) if fits else NOISE_OF_PROFILE
     frames = [_with_noise(signal, noise) for signal in frames]
     shape = (crop.height // 2, 2, crop.width) if is_raw else (crop.height, crop.width, 3)
-    with part_of_progress(1, 3):
+    with part_of_progress(1, 2):
         merged = merge_signals(frames, shape, u_ratio=exposures.tolerance)
     good, f_number = good_pixels(profile, crop, merged.flags), shots[0].exposure.f_number
     image = SensorImage(merged, profile, crop, turn_deg, f_number, exposures.u_curve, good)

@@ -111,6 +111,7 @@ def days_of_set(
 
     Raises InputError for another name.
     """
+    require_name("capture_set", name, (*EVENT_SETS, "month", "even"))
     if name in EVENT_SETS:
         seasons, margin = EVENT_SETS[name]
         events = _event_dates(seasons, margin, start or today, year, site)
@@ -122,7 +123,6 @@ def days_of_set(
         equinoxes, half = (0,) if year is not None else (0, 2), count // 2
         middle = _event_dates(equinoxes, half, today, year, site)[0]
         return span(middle - timedelta(days=half), count)
-    require_name("capture_set", name, (*EVENT_SETS, "month", "even"))
     first = start or (date(year, 1, 1) if year is not None else today)
     return span(first, days or 365)
 

@@ -89,7 +89,8 @@ class RoomOverview:
     aborted or rejected by `pair`. usable: number of rows of pairs.csv that training uses.
     occupied_hours: number in the newest predicted year, 0 without one. worst, best: directions with
     the most and the least glare in this year, as `best_and_worst` and the room's own report name
-    them; None without a year or a direction with a class.
+    them; None without a year or a direction with a class. is_unprotected: whether a direction of
+    it is certainly without protection from glare.
     """
 
     session: str
@@ -102,6 +103,7 @@ class RoomOverview:
     occupied_hours: int = 0
     worst: DirectionYear | None = None
     best: DirectionYear | None = None
+    is_unprotected: bool = False
 
 
 def overview_of(folder: Path, name: str) -> RoomOverview:
@@ -109,11 +111,12 @@ def overview_of(folder: Path, name: str) -> RoomOverview:
 
     folder: of CAMPAIGN.toml; name: the session's folder, as the file states it. No error is raised.
     """
+    from fieldlum.session.slot_states import slots_ahead
     from fieldlum.session.stage_status import stage_status
 
     try:
         session = open_session(folder / name)
-        stages, pairs = stage_status(session, datetime.now(UTC)), PairsFile.find(session.pairs)
+        stages, pairs = stage_status(session), PairsFile.find(session.pairs)
         annual, capture = newest_annual(session), stages["capture"]
         year = PredictFile() if annual is None else annual.summary
         best, worst = best_and_worst(year.protection) or (None, None)
@@ -121,12 +124,13 @@ def overview_of(folder: Path, name: str) -> RoomOverview:
             name,
             captured=capture["done"],
             planned=stages["plan"]["slots"],
-            to_do=capture["owed"],
+            to_do=len(slots_ahead(session, datetime.now(UTC))),
             usable=len(pairs.usable),
             failed=capture["missed"] + capture["aborted"] + len(pairs.refused),
             occupied_hours=year.occupancy.hours,
             worst=worst,
             best=best,
+            is_unprotected=any(r.certain and r.glare_class == "none" for r in year.protection),
         )
     except Exception as error:
         defect = "" if isinstance(error, FieldlumError | OSError) else f"{type(error).__name__}: "
@@ -152,8 +156,9 @@ def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
     """Return the overview of the rooms as HTML; name: of the campaign."""
     broken = [room for room in rooms if room.broken]
     worst = [room.worst for room in rooms if room.worst is not None]
-    bad = sum(direction.certain and direction.glare_class == "none" for direction in worst)
-    unsettled = f"{sum(not direction.certain for direction in worst)} cannot be decided yet"
+    bad = sum(room.is_unprotected for room in rooms)
+    open_rooms = [r for r in rooms if r.worst and not (r.worst.certain or r.is_unprotected)]
+    unsettled = f"{len(open_rooms)} cannot be decided yet"
     answer = f"Rooms with a view direction without protection from glare: {bad} of {len(worst)}"
     facts = [("rooms", f"{len(rooms)}"), ("predicted years", f"{len(worst)}")]
     failed = f"{counted(sum(room.failed for room in rooms), 'slot')} failed"

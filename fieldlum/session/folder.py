@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import date, datetime, timedelta
+from datetime import date, timedelta
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal, Required, TypedDict, cast
@@ -211,13 +211,6 @@ class Session:
         is_stated = "profile" not in self.site_file().camera.assumed
         planned = float(self.table().get("plan", {}).get("megabytes_per_slot", 0.0))
         return max(1e6 * planned * is_stated, *sizes, 0.0)
-
-    def startable(self, slots: Iterable[Slot], now_utc: datetime) -> list[Slot]:
-        """Return the slots, in their order, whose bracket may still start: until grace after them.
-
-        now_utc: the present time. Raises InputError as `table` does.
-        """
-        return [slot for slot in slots if slot.t_utc >= now_utc - self.grace]
 
     def panorama_files(self) -> list[Path]:
         """Return the merged panoramas, sorted by name (for names of slots, in order of time)."""

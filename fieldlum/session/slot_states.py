@@ -113,7 +113,8 @@ def slots_ahead(session: Session, now_utc: datetime) -> list[Slot]:
     It may start until the session's grace after the slot's time. now_utc: the present time. Raises
     InputError for a plan.csv or session.toml that cannot be used.
     """
-    return session.startable(slots_to_do(session.slots(), read_slot_states(session)), now_utc)
+    to_do = slots_to_do(session.slots(), read_slot_states(session))
+    return [slot for slot in to_do if slot.t_utc + session.grace >= now_utc]
 
 
 # ----------------------------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """Report what each stage, from plan to report, has done and must still do in a session."""
 
-from datetime import datetime
 from pathlib import Path
 
 from fieldlum.core.files import read_bytes
@@ -11,17 +10,17 @@ from fieldlum.session.journal import damaged_lines
 from fieldlum.session.slot_states import SETTLED, SlotStates, read_slot_states, slots_to_do
 
 
-def stage_status(session: Session, now_utc: datetime) -> JsonTable:
+def stage_status(session: Session) -> JsonTable:
     """Return what each stage of a session has done and must still do; keys of `status --json`.
 
     session, name: folder and site. plan: set, slots (number), first_utc and last_utc (starts of
-    slots). capture: numbers of slots done, missed (their time is over), aborted and owed (still to
-    do), and of frames; next: id of a slot or None; device_lost, clock_steps, suspends: numbers of
-    events; damaged_lines: line numbers in the journal. irradiance: numbers of days and rows, last
-    (date or None), cleaned (whether clean.csv exists). merge, pair: numbers of panoramas done and
-    owed; pair also: of usable rows. train: models, the names. predict: years, the names. report:
-    done (bool). next_step: see `next_step`. Raises InputError for a file of the session that cannot
-    be used, OSError for one that cannot be read. now_utc: the present time.
+    slots). capture: numbers of slots done, missed, aborted and owed (still to do), and of frames;
+    next: id of a slot or None; device_lost, clock_steps, suspends: numbers of events;
+    damaged_lines: line numbers in the journal. irradiance: numbers of days and rows, last (date or
+    None), cleaned (whether clean.csv exists). merge, pair: numbers of panoramas done and owed; pair
+    also: of usable rows. train: models, the names. predict: years, the names. report: done (bool).
+    next_step: see `next_step`. Raises InputError for a file of the session that cannot be used,
+    OSError for one that cannot be read.
     """
     slots, recorded = session.slots(), read_slot_states(session)
     states = {slot.id: recorded.state(slot.id) for slot in slots}
@@ -35,7 +34,7 @@ def stage_status(session: Session, now_utc: datetime) -> JsonTable:
         "session": str(session.root),
         "name": session.site_file().site.name,
         "plan": _plan_status(session, slots),
-        "capture": _capture_status(session, slots, recorded, now_utc),
+        "capture": _capture_status(session, slots, recorded),
         "irradiance": _irradiance_status(session),
         "merge": {"done": len(merged), "owed": len(captured - merged)},
         "pair": {"done": len(paired), "usable": len(pairs.usable), "owed": len(merged - paired)},
@@ -82,18 +81,14 @@ def _plan_status(session: Session, slots: list[Slot]) -> JsonTable:
     return plan
 
 
-def _capture_status(
-    session: Session, slots: list[Slot], recorded: SlotStates, now_utc: datetime
-) -> JsonTable:
+def _capture_status(session: Session, slots: list[Slot], recorded: SlotStates) -> JsonTable:
     """Return the number of slots by outcome and of faults by kind, and the next slot.
 
-    recorded: the slots' states, from the journal; now_utc: the present time.
+    recorded: the slots' states, from the journal.
     """
     states = [recorded.state(slot.id) for slot in slots]
     outcomes = [state.outcome for state in states]
-    unsettled = slots_to_do(slots, recorded)
-    to_do = session.startable(unsettled, now_utc)
-    outcomes += ["missed"] * (len(unsettled) - len(to_do))  # no capture ran at their time
+    to_do = slots_to_do(slots, recorded)
     return {
         **{outcome: outcomes.count(outcome) for outcome in SETTLED},
         "owed": len(to_do),

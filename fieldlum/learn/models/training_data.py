@@ -14,7 +14,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.progress import progress
 from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SiteFile, counted, slot_id
-from fieldlum.core.room_states import USAGE, merged_state
+from fieldlum.core.room_states import USAGE, cover_state, merged_state
 from fieldlum.learn.models.camera_turns import align, camera_turns, shown_place, turn_notes
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.images import PANORAMA_LINE, read_panorama
@@ -331,10 +331,11 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
     )
     data, has_value = read_pictures(path, rows, setup, light)
     is_lit = (data.luminance_cdm2 > _DARK_CDM2).mean(axis=(1, 2)) > 0.01
-    remedy = "check lens cap, blinds and exposures, and capture again"
+    remedy = "check lens cap, blinds, exposures and unit, and capture again"
     if not is_lit.any():
         raise InputError(path, f"no light in {counted(len(rows), 'picture')}", "daylight", remedy)
-    if not (is_lit := is_lit | (light.dhi_wm2 < _DAY_WM2)).all():
+    covered = [bool(cover_state(text)) for text in light.states or [""] * len(rows)]
+    if not (is_lit := is_lit | (light.dhi_wm2 < _DAY_WM2) | covered).all():
         named = ", ".join(data.take(~is_lit).slots)
         notes.append(f"WARNING: not used, because they are dark by day: {named}: {remedy}")
         return _assemble(path, [rows[k] for k in np.flatnonzero(is_lit)], setup, notes)

@@ -129,9 +129,10 @@ def evaluate_folds(
     budget_s = budget_s and budget_s / len(folds)
     fit = partial(fit_timed, name, patch=patch, seed=seed, budget_s=budget_s)
     for k, held in enumerate(folds):
-        with part_of_progress(k, len(folds), f"{name} without some days, "):
+        with part_of_progress(2 * k, 2 * len(folds), f"{name} without some days, "):
             fitted, spent = fit(data.take(~held))
-        parts.append(scoring.evaluate(fitted, scoring.truth(data.take(held))))
+        with part_of_progress(2 * k + 1, 2 * len(folds), f"{name} without some days, "):
+            parts.append(scoring.evaluate(fitted, scoring.truth(data.take(held))))
         times.append(spent)
     wall_s, cpu_s = np.mean(times, axis=0).tolist()
     return Trial(

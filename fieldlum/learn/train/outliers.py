@@ -283,12 +283,12 @@ def _group_of_other_level(evidence: Evidence) -> tuple[Indices, Indices]:
         return chosen if gain_of(chosen) > _MIN_GAIN else _NO_ROWS
 
     dark, bright = best(darker=True), best(darker=False)
-    if not len(bright):
-        return dark, _NO_ROWS
     season = seasons(days)
-    others = np.setdiff1d(rows[season == season[rows == bright[0]]], bright)
-    rivals = [gain(some, darker=True) for some in (dark, others) if len(some)]
-    lead = gain(bright, darker=False) - max(rivals, default=-np.inf)
+    others = np.setdiff1d(rows[np.isin(season, season[np.isin(rows, bright)])], bright)
+    if not len(others):  # also without a brighter day; the last day of a season stays
+        return dark, _NO_ROWS
+    rival = max(gain(dark, darker=True), gain(others, darker=True))
+    lead = gain(bright, darker=False) - rival if rival > 0.0 else np.inf
     if _UNCLEAR < lead <= _BRIGHTER:
         return _NO_ROWS, bright
     return (bright if lead > _BRIGHTER else dark), _NO_ROWS

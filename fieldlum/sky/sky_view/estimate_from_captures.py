@@ -190,7 +190,8 @@ def estimate(
     None if unknown. usual: the view of the usual state, with the same pose, if the captures are of
     another state. is_marked: whether their state is that of a marked blind or tint.
     """
-    is_sure = is_marked or usual is not None or bool((captured.disc_share > _SHUT).any())
+    sure_usual = usual is not None and bool(np.nanmax(usual.low, initial=0.0) > 0.0)
+    is_sure = is_marked or sure_usual or bool((captured.disc_share > _SHUT).any())
     stack = _stack(captured, seen, usual)
     stack = replace(stack, latitude_deg=latitude_deg, is_sure=is_sure)
     pose = pose or CameraPose(axis_deg=stack.grid.heading_deg)
@@ -199,9 +200,7 @@ def estimate(
     covered_utc = stack.light[covered].t_utc
     stack = stack.take(np.flatnonzero(~covered)) if covered.any() else stack
     decided = _decided(stack, pose)
-    # Darker than sky behind clear glass, it can be a facade, which does not turn with the sky.
-    is_sky = usual is None and decided.reference.brightest > _CLEAR_GLASS
-    if is_sky and (turned := _turned(stack, decided.view)) is not pose:
+    if usual is None and (turned := _turned(stack, decided.view)) is not pose:
         decided = _decided(stack, turned)
     decided = _over_seasons(decided, stack)
     view = _checked(decided, captured.take(rest.tolist()), covered_utc)
@@ -221,7 +220,7 @@ class _Stack:
     saw, but that no picture has, because they are too dark; usually [h, w]: upper bound of the
     beam's share in the usual state of the room, 0 if the pictures are of that state. latitude_deg:
     of the place, None if the sun's path is not to be used. is_sure: whether a capture shows the
-    sun's disc, the usual view is known, or a tint or blind is marked.
+    sun's disc, the usual view is sure, or a tint or blind is marked.
     """
 
     grid: SkyGrid
@@ -584,6 +583,12 @@ def _notes_on_level(level: float, stack: _Stack) -> list[str]:
             f"the pictures show {level:.2g} of the sky's luminance that the measured irradiance "
             "gives: true of tinted glass, screens, or a view without open sky; if the glass is "
             "clear (0.6 to 0.9), check the camera's factor k and the unit of the irradiance"
+            + (
+                ""
+                if stack.is_sure
+                else "; no disc is certain until a clear hour shows one: mark "
+                "a tint, or capture the sun in the window"
+            )
         ]
     return [
         f"WARNING: the sky in the window has {level:.2g} of the luminance that the measured "
