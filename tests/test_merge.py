@@ -537,8 +537,10 @@ def test_every_phase_of_a_merge_shows_its_progress(
     bracket: Callable[..., tuple[list[Shot], CameraProfile]],
 ) -> None:
     """Only the reading of frames did; merging and projecting take twice as long."""
-    shown: set[str] = set()
+    shown: list[tuple[float, str]] = []
     resampler.cache_clear()
-    with shown_by(lambda _, __, text: shown.add(text)):
-        merge(*bracket("sim-fisheye"))
-    assert {"frames", "merging rows", "projecting rows"} <= shown
+    with shown_by(lambda done, total, text: shown.append((done / total, text))):
+        merge(*bracket("sim-dual-fisheye"))
+    shares, texts = zip(*shown, strict=True)
+    assert {"frames", "merging rows", "projecting rows"} <= {*texts}
+    assert list(shares) == sorted(shares)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask, UInts8
-from fieldlum.core.progress import part_of_progress
+from fieldlum.core.progress import part_of_progress, quiet, shown_by
 from fieldlum.core.records import Flag
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import FramePixels, Merged, merge_signals
@@ -215,7 +215,8 @@ def merge_sensor(
     and for a filter that the profile does not have.
     """
     crop, is_raw = lens_crop(profile), profile.camera.kind == "raw"
-    shots, absent = _without_absent_filters(shots, profile, crop)
+    with shown_by(quiet):  # it reads a few frames
+        shots, absent = _without_absent_filters(shots, profile, crop)
     nominal_s = [shot.exposure.shutter_s for shot in shots]
     law = stated_law(nominal_s, profile.shutter_law, profile.camera.model)
     with part_of_progress(0, 2):
