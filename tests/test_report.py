@@ -248,7 +248,6 @@ def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path:
                 xr.open_zarr(year.folder / "maps.zarr", consolidated=False)["trusted"] == trusted
             ).all()
             assert (predict.read_annual(year.folder).hours["trusted"] == trusted).all()
-            assert not any(row.certain for row in year.summary.protection)
         first_screen = annual_page.warnings_of(session, year)
         assert any(f"From training: {warning[9:40]}" in text for text in first_screen)
 

@@ -117,7 +117,7 @@ def test_dark_glass_is_no_sky_until_a_capture_shows_the_disc() -> None:
         assert share[1] >= low and (share[1] == 0.0) == (low == 0.0)
         assert (disc.high_lx > 0.1 * LIGHT.direct_lx[inside]).mean() > 0.9
     assert unknown.pose == CameraPose(axis_deg=GRID.heading_deg)
-    assert "no disc is certain until a clear hour shows one" in " ".join(unknown.notes)
+    assert "no disc is certain: mark a tint" in " ".join(unknown.notes)
     assert "no disc is certain" not in " ".join(known.notes)
 
 

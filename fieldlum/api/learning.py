@@ -213,7 +213,7 @@ def fit(
         Fewer than two usable hours, or too few hours or too little time for the named model.
     InputError
         `data` is not the result of `load_pairs`, its room is impossible, `out` cannot be written,
-        or another argument is not possible; the error lists the names.
+        or `model` or `patch` is not one of the names that the error lists.
 
     Examples
     --------

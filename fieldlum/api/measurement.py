@@ -262,8 +262,7 @@ def plan_captures(
     Raises
     ------
     NotEnoughDataError
-        The sun does not rise in the window, or the weather is of other
-        dates.
+        The sun does not rise in the window, or the weather is of other dates.
     InputError
         `out` is a session already, or the site or its camera profile cannot be used.
 

@@ -83,11 +83,14 @@ def _refuse_voltage(path: Path, rows: Sequence[IrradianceSample], name: str, sit
     sine = np.sin(np.radians(sun.position(times, site).altitude_deg))
     largest = sun.extraterrestrial_wm2(times) * np.maximum(sine, _HIGH_SUN_SINE)
     share = (np.array([getattr(row, name) for row in some]) / largest)[sine > _HIGH_SUN_SINE]
-    if len(share) >= _HIGH_SUN_ROWS and 0.0 < np.quantile(share, 0.95) < _DARKEST_SHARE:
-        found = f"{name} is under {_DARKEST_SHARE:.0%} of the sun's light above the atmosphere"
-        remedy = "name a voltage's unit in its column, such as ghi_mV, and state --sensitivity"
-        remedy += "; remove the column of a covered or dead instrument"
-        raise InputError(path, found, "more by day, even under the darkest cloud", remedy)
+    if len(share) < _HIGH_SUN_ROWS:
+        return
+    if 0.0 < (usual := float(np.quantile(share, 0.95))) < _DARKEST_SHARE:
+        found = f"{name} is {usual:.2%} of the sun's irradiance above the atmosphere by day"
+        expected = f"over {_DARKEST_SHARE:.0%}, as under the darkest cloud"
+        remedy = "if it is a voltage, name its unit in the column, such as ghi_mV, and state "
+        remedy += "--sensitivity; if the instrument was covered or dead, remove the column"
+        raise InputError(path, found, expected, remedy)
 
 
 def _check_civil_time(path: Path, times: Sequence[datetime], zone: ZoneInfo) -> None:

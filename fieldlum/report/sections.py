@@ -49,7 +49,7 @@ def best_direction(annual: Annual) -> tuple[str, str]:
     hidden = [direction_name(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
     unseen = f"No result for views to {', '.join(hidden)}: the camera saw less than half of them. "
     advice = f"facing {direction_name(best.azimuth_deg)}: {_class_words(best)}."
-    is_open = best.low in (None, 0.0) or best.seen == PARTLY_SEEN
+    is_open = best.low is None or best.seen == PARTLY_SEEN
     doubtful = best.glare_class == "none" or (is_open and not best.certain)
     lead = "Least glare" if doubtful or annual.summary.weather.synthetic else "Sit"
     if annual.summary.weather.synthetic:

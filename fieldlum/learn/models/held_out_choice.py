@@ -83,9 +83,9 @@ def difference(candidate: HeldOutErrors, other: HeldOutErrors, name: str) -> tup
     A negative difference: the candidate is better. Both candidates have the same hours. Hours
     without weight, or without the error of either candidate, do not count; at least one hour must
     count. Of each candidate, the hours with the largest errors are omitted, up to the share TRIM of
-    the weight. name: one of `CRITERIA`, whose unit both results have. The
-    standard error is that of the trimmed mean, by winsorised differences (Tukey and McLaughlin
-    1963), where only days are independent; it is 0 with one day.
+    the weight. name: one of `CRITERIA`, whose unit both results have. The standard error is that of
+    the trimmed mean, by winsorised differences (Tukey and McLaughlin 1963), where only days are
+    independent; it is 0 with one day.
     """
     own, others = getattr(candidate, name), getattr(other, name)  # errors of each hour [n]
     rows = np.isfinite(own) & np.isfinite(others) & (candidate.weight > 0.0)

@@ -363,8 +363,10 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     factors = np.ones(len(compared))
     for k in unexplained:
         factors[k] = Evidence(shaded, np.append(rest, k)).level_change(np.array([k]))[1]
-    every = [np.flatnonzero(np.isin(nearest, r)) for r in (lamp, unexplained, doubtful)]
-    return RoomChanges(every[0], every[1], factors[nearest[every[1]]], every[2])
+    lamp, unexplained, doubtful = (
+        np.flatnonzero(np.isin(nearest, some)) for some in (lamp, unexplained, doubtful)
+    )
+    return RoomChanges(lamp, unexplained, factors[nearest[unexplained]], doubtful)
 
 
 def step_warnings(data: Dataset) -> list[str]:

@@ -485,9 +485,11 @@ def _choose_inputs(candidates: _Candidates) -> _Chosen:
     # Held-out days from one season, 20 degrees of solar declination, do not test other seasons.
     one_season = float(np.ptp(_declination_deg(data.days))) < 20.0
     omit_smallest = data.scene is not None or best.arrays.patch is None or one_season
-    others = NOISES[2:] if omit_smallest else NOISES[::2]
-    means = [(candidates.errors(best, noise).mean(), noise) for noise in others]
-    return _Chosen(candidates, best, *min((errors.mean(), NOISES[1]), *means))
+    noises = NOISES[1:] if omit_smallest else NOISES
+    tried = [errors if noise == NOISES[1] else candidates.errors(best, noise) for noise in noises]
+    means = [float(hours.mean()) for hours in tried]
+    k = int(np.argmin(means))
+    return _Chosen(candidates, best, mse=means[k], noise=noises[k])
 
 
 def _with_lamp(inputs: _FitInputs, kernel: Kernel) -> _FitInputs:

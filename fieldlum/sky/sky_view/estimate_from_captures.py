@@ -579,17 +579,13 @@ def _notes_on_level(level: float, stack: _Stack) -> list[str]:
     if not is_impossible:
         if not _TOO_DARK < level < _CLEAR_GLASS:
             return []
-        return [
+        no_disc = "no disc is certain: mark a tint, or capture a clear hour with the sun in view"
+        text = (
             f"the pictures show {level:.2g} of the sky's luminance that the measured irradiance "
             "gives: true of tinted glass, screens, or a view without open sky; if the glass is "
             "clear (0.6 to 0.9), check the camera's factor k and the unit of the irradiance"
-            + (
-                ""
-                if stack.is_sure
-                else "; no disc is certain until a clear hour shows one: mark "
-                "a tint, or capture the sun in the window"
-            )
-        ]
+        )
+        return [text if stack.is_sure else f"{text}; {no_disc}"]
     return [
         f"WARNING: the sky in the window has {level:.2g} of the luminance that the measured "
         "irradiance gives it: check the pictures' unit (cd/m2; W/sr/m2 are 179 times less), "

@@ -58,9 +58,9 @@ class DgpUncertainty(NamedTuple):
     """How uncertain the DGP of n hours in d directions is.
 
     words [d] : "seen", "partly seen" or "not seen"; minimum, maximum [n, d] : lowest and highest
-    DGP over possible light in the unseen part of a view, infinite if nothing bounds them; drawn [k,
-    n, d] : DGP in k random draws of the sun's place and visibility; u_maps [n, d] : standard
-    uncertainty of DGP by the model's maps, NaN if unknown.
+    DGP over possible light in the unseen part of a view; drawn [k, n, d] : DGP in k random draws
+    of the sun's place and visibility; u_maps [n, d] : standard uncertainty of DGP by the model's
+    maps, NaN if unknown.
     """
 
     words: tuple[str, ...]

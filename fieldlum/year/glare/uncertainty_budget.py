@@ -57,7 +57,6 @@ class Source(NamedTuple):
 MODEL = Source("light transport model", "A", _NORMAL, 1.0, "u", "half: all hours")
 DISC_SEEN = Source("whether the sun's disc is seen", "B", _NORMAL, 1.0, "u", "all hours")
 UNSEEN = Source("part of the view that no lens saw", "B", "rectangular", 1.0, "u", "hour")
-UNTRUSTED = Source("a model of which no hour is trusted", "B", "rectangular", 1.0, "u", "hour")
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,8 +201,7 @@ def year_budget(
     low, high = (exceeded(bound)[name] for bound in (uncertainty.minimum, uncertainty.maximum))
     changes = [(MODEL, uncertainty.u_maps), *camera_changes(u_camera_rel, per_scale)]
     changes.append((DISC_SEEN, uncertainty.drawn - dgp))
-    source = UNTRUSTED if np.isinf(uncertainty.maximum).any() else UNSEEN
-    unseen = (source, {name: np.abs(high - low) / np.sqrt(12.0)})
+    unseen = (UNSEEN, {name: np.abs(high - low) / np.sqrt(12.0)})
     return budgets_of_year(exceeded, dgp, azimuths_deg, changes, unseen)
 
 

@@ -317,7 +317,6 @@ class HourJudge:
         azimuths_deg: the directions [d], clockwise from north.
         """
         size, self._pose = (room.height, room.width, room.heading_deg), room.pose
-        self._reach = np.inf if room.untrusted else 0.0
         self.views = panorama_views(*size, azimuths_deg, room.seen)
         self._coverage = metrics.view_coverage(self.views)
         self._regions = metrics.region_weights(self.views)
@@ -349,8 +348,7 @@ class HourJudge:
         without any. dgp_low and dgp_high are the ends of the 95 % interval of DGP: the limit by
         what no lens saw, plus the quantile of the draws, plus 1.96 u of the maps. The three are
         added, not their squares as in u_dgp, so that the interval is wide enough also if they are
-        not independent; a model of which no hour is trusted bounds nothing: they are 0 and 1.
-        "occupied" is 0 here; `year.run` sets it.
+        not independent. "occupied" is 0 here; `year.run` sets it.
         """
         views, light, coverage, figures = self.views, block.light, self._coverage, self.glare(block)
         u_map_rel, u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
@@ -363,7 +361,6 @@ class HourJudge:
             brightest = np.maximum(brightest, seen_cdm2)
         # lowest and highest DGP over possible luminances of the unseen part [k, d]
         minimum, maximum = metrics.unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
-        minimum, maximum = minimum - self._reach, maximum + self._reach
         drawn_ev_lx, drawn_contrast = self._drawn_light(block, figures, discs_lx)
         if melanopic is not None:
             unseen_lx = brightest[:, None] * coverage.unseen_illuminance
