@@ -413,7 +413,7 @@ def test_a_voltage_is_not_taken_for_irradiance(
     done = CliRunner().invoke(main, words)
     assert (done.exit_code == 3) == is_refused, done.output
     if is_refused:
-        assert "ghi_wm2 is 1.32% of the sun's irradiance above the atmosphere" in done.stderr
+        assert "ghi_wm2 is 1.29% of the sun's irradiance above the atmosphere" in done.stderr
         assert "and state --sensitivity" in done.stderr and not rows_of(session)
         renamed = (tmp_path / "a.csv").read_text().replace("ghi_wm2", "ghi_mV")
         (tmp_path / "a.csv").write_text(renamed)
