@@ -10,10 +10,18 @@ import pytest
 from PIL import Image
 from test_sky_view import GRID, LIGHT, SITE, SKY, _at
 
-from fieldlum.core.records import Panorama, Room, SunSource, Window, slot_id
+from fieldlum.core.records import Flag, Panorama, Room, SunSource, Window, slot_id
 from fieldlum.optics.images import write_panorama
-from fieldlum.pair.camera_sky_view import Shown, is_outdated, shares_of_beam, write_sky_view
+from fieldlum.optics.projection import altitude_azimuth_deg
+from fieldlum.pair.camera_sky_view import (
+    Shown,
+    in_patches,
+    is_outdated,
+    shares_of_beam,
+    write_sky_view,
+)
 from fieldlum.session import Session
+from fieldlum.sky.perez import reinhart_patches
 from fieldlum.sky.sky_view.picture import SkyPicture, write_sky_picture
 from fieldlum.sky.sky_view.view import SkyView
 
@@ -87,6 +95,20 @@ def test_only_a_decided_share_completes_a_sun(tmp_path: Path) -> None:
         share, decided = shares_of_beam(view, room, light)
         assert share == pytest.approx(by_view if decided else by_room, rel=0.1)
         assert np.isnan(shares_of_beam(None, None, light)[0]).all()
+
+
+@pytest.mark.analytic
+def test_sky_that_merge_did_not_store_is_read_in_the_panorama() -> None:
+    """Each pixel has its altitude; the right half, which begins at the heading, is not seen."""
+    altitude = 90.0 - np.arange(0.5, 180.0)[:, None] + np.zeros(360)
+    flags = np.zeros((180, 360), np.uint16)
+    flags[:, 180:] = Flag.OUTSIDE_LENS
+    panorama = Panorama((altitude + 90.0).astype(np.float32), 200.0, flags=flags)
+    patches = reinhart_patches().directions
+    shown = in_patches(panorama)
+    true_deg, azimuth_deg = altitude_azimuth_deg(patches)
+    right = (azimuth_deg - 200.0) % 360.0 < 180.0
+    assert np.isnan(shown[right]).all() and np.abs(shown - 90.0 - true_deg)[~right].max() < 0.51
 
 
 @pytest.mark.analytic

@@ -11,11 +11,12 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from fieldlum.core.arrays import Floats, Indices, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Site, SiteFile, Window
 from fieldlum.optics.projection import rotation
 from fieldlum.sky.daylight import Light, light_at
+from fieldlum.sky.perez import reinhart_patches
 from fieldlum.sky.sky_view.estimate_from_captures import Captured, estimate, sky_view_of
 from fieldlum.sky.sky_view.measured_discs import NO_DISCS
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
@@ -70,6 +71,7 @@ def _view(
     disc_share: Floats | None = None,
     rows: Indices | None = None,
     latitude_deg: float | None = None,
+    elsewhere: Floats32 | None = None,
 ) -> SkyView:
     shares = np.full(len(LIGHT), np.nan) if disc_share is None else disc_share
     clipped = np.zeros((32, 32), bool)
@@ -77,7 +79,7 @@ def _view(
     def read(k: int) -> SkyPicture:
         return SkyPicture(pictures[k].astype(np.float32), clipped, GRID)
 
-    captured = Captured(LIGHT, read, shares)
+    captured = Captured(LIGHT, read, shares, elsewhere)
     taken = captured if rows is None else captured.take(rows.tolist())
     return estimate(taken, latitude_deg=latitude_deg)
 
@@ -119,6 +121,21 @@ def test_dark_glass_is_no_sky_until_a_capture_shows_the_disc() -> None:
     assert unknown.pose == CameraPose(axis_deg=GRID.heading_deg)
     assert "no disc is certain: mark a tint" in " ".join(unknown.notes)
     assert "no disc is certain" not in " ".join(known.notes)
+
+
+@pytest.mark.analytic
+def test_sky_that_the_sun_never_reaches_shows_that_a_facade_is_none() -> None:
+    """A facade, or tinted glass, fills the sun's path; above it the panoramas show clear sky."""
+    facade_level = np.random.default_rng(1).lognormal(0.0, 0.25, (len(LIGHT), 1, 1))
+    facade = 0.08 * SKY * facade_level
+    patches = reinhart_patches().directions
+    sky = 0.7 * LIGHT.sky_at(patches) * _clouds()[:, 0, :1]
+    elsewhere = np.where(patches[:, 2] > 0.8, sky, np.nan).astype(np.float32)
+    alone, view = _view(facade), _view(facade, elsewhere=elsewhere)
+    assert alone.high.min() > 0.08 and "no disc is certain" in " ".join(alone.notes)
+    assert view.high.max() == 0.0 and "sees no sky" in " ".join(view.notes)
+    glass = _view(_pictures(np.ones((32, 32)), 0.15), elsewhere=elsewhere)
+    assert np.median(glass.low) > 0.05 and "no disc is certain" not in " ".join(glass.notes)
 
 
 @pytest.mark.analytic

@@ -298,10 +298,11 @@ class LineInstrument(Pyranometer):
         )
 
     def read(self) -> IrradianceSample:
-        """Return a reading of the lines since the last one; wait for a line if there is none.
+        """Return the values of the newest line, or the medians of the newest three if near in time.
 
-        Raises DeviceError if no line that fits the profile and the form of earlier lines arrives
-        within the silence time (default: 5 s), or if the port fails.
+        Only lines since the last reading count; without one, wait. Raises DeviceError if no line
+        that fits the profile and the form of earlier lines arrives within the silence time
+        (default: 5 s), or if the port fails.
         """
         deadline = time.monotonic() + self._silence_s
         why = "no line received; check cable, power and baud rate"

@@ -56,7 +56,7 @@ class Line(SerialLine):
 class RegisterBlock:
     """A block of Modbus registers that are read by one request, and therefore at one moment.
 
-    start : number of the first register; count : how many registers.
+    start : address of the first register in a request, from 0; count : how many registers.
     """
 
     start: int
@@ -64,7 +64,7 @@ class RegisterBlock:
 
     @property
     def numbers(self) -> range:
-        """Numbers of the block's registers."""
+        """Addresses of the block's registers."""
         return range(self.start, self.start + self.count)
 
 
@@ -72,10 +72,10 @@ class RegisterBlock:
 class Entry:
     """One value of a register profile, such as irradiance_wm2 or the serial number.
 
-    register : number of its first register; type : an unsigned (u) or signed (s) integer of 16 or
-    32 bits, f32 a float, date a u32 such as 20260115, or text in ASCII; scale : factor from the
-    number to the unit of the name; power10_register : register of a power of ten by which the
-    number is divided (Kipp & Zonen); words : number of registers of a text; allow : values of a
+    register : address of its first register, from 0; type : an unsigned (u) or signed (s) integer
+    of 16 or 32 bits, f32 a float, date a u32 such as 20260115, or text in ASCII; scale : factor
+    from the number to the unit of the name; power10_register : register of a power of ten by which
+    the number is divided (Kipp & Zonen); words : number of registers of a text; allow : values of a
     status word that mean no fault; empty if it is not checked.
     """
 
@@ -89,14 +89,14 @@ class Entry:
 
     @property
     def own_registers(self) -> range:
-        """Numbers of the registers of the value itself."""
+        """Addresses of the registers of the value itself."""
         is_text = self.type == "text"  # a register has two bytes
         count = self.words if is_text else struct.calcsize(_STRUCT_FORMATS[self.type]) // 2
         return range(self.register, self.register + count)
 
     @property
     def registers(self) -> set[int]:
-        """Numbers of all registers that the value needs, with that of its power of ten."""
+        """Addresses of all registers that the value needs, with that of its power of ten."""
         more = () if self.power10_register is None else (self.power10_register,)
         return {*self.own_registers, *more}
 

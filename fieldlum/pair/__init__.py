@@ -20,7 +20,7 @@ from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.pair.bracket_irradiance import BracketIrradiance, irradiance_during
-from fieldlum.pair.camera_sky_view import Shown, shares_of_beam, write_sky_view
+from fieldlum.pair.camera_sky_view import Shown, in_patches, shares_of_beam, write_sky_view
 from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured, measured_sun
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.view import patch_rays
@@ -292,7 +292,8 @@ def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: flo
         clipped = None if flags is None else (flags & Flag.CLIPPED_HIGH) > 0
         light = panorama.luminance_cdm2
         at = sun_elsewhere(light, heading_deg, full_normal_lx, clipped, altitude_deg)
-    return Shown(bracket.slot, sun, recorded_lx, caution, seen, heading_deg, at)
+    patches = in_patches(panorama)
+    return Shown(bracket.slot, sun, recorded_lx, caution, seen, heading_deg, at, patches)
 
 
 # ----------------------------------------------------------------------------------------------

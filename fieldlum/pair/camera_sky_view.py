@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.plot_style import RED, new_figure, open_axes, styled
 from fieldlum.core.records import JsonTable, Panorama, Room, Site, SunSource
@@ -20,6 +20,7 @@ from fieldlum.pair.sun_strength import is_measured
 from fieldlum.session import Session, replacing_path, sha256
 from fieldlum.session.codec import data_digest
 from fieldlum.sky.daylight import Light
+from fieldlum.sky.perez import reinhart_patches
 from fieldlum.sky.picture_axes import wrong_axes
 from fieldlum.sky.sky_view.estimate_from_captures import Captured, sky_view_of
 from fieldlum.sky.sky_view.measured_discs import read_discs
@@ -42,7 +43,8 @@ class Shown:
     the panorama's file, 0 without one; caution: a sentence about the sun or the file, or ""; seen
     [H, W]: pixels with a value, None for a panorama that cannot be read; heading_deg: azimuth of
     the centre column, clockwise from north; sun_at_deg: altitude and azimuth of the sun in the
-    picture, or of a spot that may be the sun, None without.
+    picture, or of a spot that may be the sun, None without; patches_cdm2 [2305]: luminance in
+    the directions of `reinhart_patches`, NaN where not seen.
     """
 
     slot: str
@@ -52,6 +54,7 @@ class Shown:
     seen: Mask | None = None
     heading_deg: float = 0.0
     sun_at_deg: tuple[float, float] | None = None
+    patches_cdm2: Floats32 = field(default_factory=lambda: np.full(2305, np.nan, np.float32))
 
     @property
     def measured_lx(self) -> float:
@@ -113,7 +116,8 @@ def write_sky_view(
         stored = None if force else SkyView.find(session.sky_view)
         if stored is not None and stored.inputs == inputs:
             return stored
-    captured = Captured(light, pictures.read, shares)
+    elsewhere = np.stack([c.patches_cdm2 for c in captures]) if pictures.is_cut else None
+    captured = Captured(light, pictures.read, shares, elsewhere)
     in_lens = _in_lens(captures) if pictures.is_cut else None
     try:
         view = sky_view_of(captured, discs, site, captures[0].heading_deg, in_lens)
@@ -164,6 +168,15 @@ def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
         return often[np.minimum(row.astype(int), height - 1), column.astype(int) % width]
 
     return in_lens
+
+
+def in_patches(panorama: Panorama) -> Floats32:
+    """Return the luminance at the centres of `reinhart_patches`, NaN where no lens saw [2305]."""
+    light = panorama.seen_cdm2
+    towards = altitude_azimuth_deg(reinhart_patches().directions)
+    height, width = light.shape
+    row, column = equirect_pixel(*towards, height, width, panorama.heading_deg)
+    return light[row.astype(int), column.astype(int) % width]
 
 
 def shares_of_beam(view: SkyView | None, room: Room | None, light: Light) -> tuple[Floats, Mask]:

@@ -44,7 +44,7 @@ from fieldlum.year.predict import newest_annual
 from fieldlum.year.predict.annual import time_coordinate, unit_of
 
 _FISHEYE_PX = 800  # evalglare's documentation recommends at least this for -vta pictures
-_NORTH = "# y points to azimuth"  # the first words of a room.rad of `export`
+_Y_AXIS = "# y points to azimuth"  # the first words of a room.rad of `export`
 _MARK_BYTES = 100  # at the beginning of a file of `export`, which name it; room.hbjson needs 50
 _PAIR_COLUMNS = ("dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg")
 
@@ -127,11 +127,11 @@ def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Pa
     if room is None or room.kind != "box":
         return []
     rad_file, honeybee_file = out / "room.rad", out / "room.hbjson"
-    for file, mark in ((rad_file, _NORTH), (honeybee_file, MODEL_NAME)):
+    for file, mark in ((rad_file, _Y_AXIS), (honeybee_file, MODEL_NAME)):
         if file.is_file() and mark.encode() not in read_bytes(file)[:_MARK_BYTES]:
             found = "a file that export did not write"
             raise InputError(file, found, "another folder", "choose another --out")
-    north = f"{_NORTH} {(room.wall_azimuth_deg + 180) % 360:g} deg from true north\n"
+    north = f"{_Y_AXIS} {(room.wall_azimuth_deg + 180) % 360:g} deg from true north\n"
     write_file(rad_file, north + rad_text(build(room)))
     write_object(honeybee_file, honeybee_model(room, azimuths_deg))
     return [rad_file, honeybee_file]

@@ -147,7 +147,7 @@ class Fitted(Protocol):
 
     @property
     def held_out_mse(self) -> Floats | None:
-        """Log10 MSE of each training map [n], predicted without its day; None if not computed."""
+        """MSE of log10 L of each training map [n], held out with its day; None if not computed."""
         ...
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:

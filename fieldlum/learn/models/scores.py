@@ -271,10 +271,7 @@ def _mean(values: Floats | float) -> float | None:
 
 
 def summary(scores: Scores) -> ScoreFigures:
-    """Return the figures of a test under the keys of `train --json` (docs/design.md, Command line).
-
-    A figure that was not computed is None.
-    """
+    """Return the figures of a test under the keys of `ScoreFigures`; None if not computed."""
     errors, truth2_weighted = scores.errors, max(scores.truth2_weighted.sum(), 1e-12)
     return {
         "log10_mse_weighted": float(scores.mse_weighted.mean()),

@@ -476,12 +476,12 @@ def read_pictures(
 ) -> tuple[Dataset, Mask]:
     """Read maps and sun patches of the n rows of a pairs.csv; return them with a mask [n, H, W].
 
-    The mask is False at missing values of the maps, which are still in them, as are the sun's
-    discs; later steps change the arrays in place. path: of the pairs.csv, to whose folder the names
-    of pictures are relative. light: of the rows. disc_lx is from the sun that is stated with a
-    picture (its header, or the session's suns.csv), 0 without one. Raises InputError for an
-    unreadable picture, if sizes or headings differ from those of the first picture, or if only some
-    rows have a sun patch.
+    The mask is False where no lens saw the pixel or its value is not finite: the maps have the
+    file's value there, to be filled later. A map whose row has sun_in_map still contains the disc.
+    path: of the pairs.csv, to whose folder the names of pictures are relative. light: of the rows.
+    disc_lx is from the sun that is stated with a picture (header, or suns.csv), else with its sun
+    patch, 0 without one. Raises InputError for an unreadable picture, if sizes or headings differ
+    from those of the first picture, or if only some rows have a sun patch.
     """
     pictures = [path.parent / row.panorama for row in rows]
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
@@ -625,8 +625,9 @@ def joined_counts(counts: Floats16, has_value: Mask) -> Floats16 | None:
 def with_sky_view(data: Dataset, file: Path | None = None) -> Dataset:
     """Return the captures with a sky view: of `file`, else their own, else estimated from the maps.
 
-    file: a sky_view.exr. Captures with blinds or snow do not count in the estimate, unless all have
-    the same. Raises InputError for another file, NotEnoughDataError without a capture by daylight.
+    file: a sky_view.exr. Captures with snow count only if all by daylight have it; those of a blind
+    or tint give a view of their own. Raises InputError for another file, NotEnoughDataError without
+    a capture by daylight.
     """
     if file is not None:
         return replace(data, sky_view=SkyView.read(file))

@@ -222,7 +222,7 @@ class Result:
     untrusted: bool
 
     def table(self, seed: int) -> list[ScoreRow]:
-        """Return a row for each trial, as in `train --json` (docs/design.md, Command line).
+        """Return a row for each trial with the keys of `ScoreRow`, as `train --json` prints it.
 
         seed: of the training, which each row repeats.
         """

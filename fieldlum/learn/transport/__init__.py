@@ -105,7 +105,7 @@ class Transport:
 
     @property
     def held_out_mse(self) -> Array:
-        """Log10 MSE of each capture, predicted from other days, [n]."""
+        """MSE of log10 L of each capture, predicted from other days, [n]."""
         return self.uncertainty.error_of[: len(self.captured)]  # the tests by days come first
 
     @property
@@ -711,17 +711,17 @@ def calibrate(
         for days in (groups if groups[1].max() > 0 else groups[:1])
     ]
     patch = max(_patch_sd(arrays, test.held) for test in tests)
-    squares = [test.log10_variance(arrays, patch, residual) for test in tests]
-    share = arrays.trust + 1e-9
+    variances = [test.log10_variance(arrays, patch, residual) for test in tests]  # [n, P] each
+    share = arrays.trust + 1e-9  # weight of each pixel in the mean of its hour
     share /= share.sum(axis=1)[:, None]
-    guess = np.concatenate([(share * square).sum(axis=1) for square in squares])
+    guess = np.concatenate([(share * variance).sum(axis=1) for variance in variances])
     errors = np.concatenate([test.held.error for test in tests])
     out = Uncertainty(
         inverse=inverse,
         second=second,
         novelty=float(tests[0].variance.max()),
         patch=patch,
-        band=1.0,
+        band=1.0,  # replaced below: it needs `expected_mse`
         tested=np.tile(np.arange(len(covariance)), len(tests)),
         error_of=(errors**2).mean(axis=1),
         guess_of=guess,
@@ -729,8 +729,9 @@ def calibrate(
     )
     features, rows = arrays.features, out.tested
     expected = out.expected_mse(features[rows], features, guess)
-    square = np.concatenate(squares) * (expected / guess)[:, None]
-    sd = np.sqrt(square + LOG10_E**2 * arrays.unsure[rows, None])
+    # Each hour's variances are scaled to the error to expect; that of the irradiance is added.
+    variance = np.concatenate(variances) * (expected / guess)[:, None]
+    sd = np.sqrt(variance + LOG10_E**2 * arrays.unsure[rows, None])
     ratios = np.split(np.abs(errors) / sd, len(tests))  # [n, P] each
     # The larger one of days and seasons, because a year has other seasons than the captures.
     band = max(float(np.quantile(ratio[~arrays.filled], 0.9)) for ratio in ratios)

@@ -194,10 +194,11 @@ def _cell_roots(shape: tuple[int, ...]) -> Floats:
 def _patch_cells(patch: Floats, window: Mask) -> Floats:
     """Return light of sun patches in each of c cells over the root of its solid angle, [n, c].
 
-    patch: luminance of sun patches [n, H, W] cd/m2; window: mask of pixels that do not count.
+    Squared differences of two hours then count each cell by its solid angle. patch: luminance of
+    sun patches [n, H, W] cd/m2; window: mask of pixels that do not count.
     """
     weights = np.where(window, 0.0, equirect_solid_angles(*window.shape))
-    # Pixels brighter than a sunlit white wall (3e4 cd/m2) show a window or a disc.
+    # Brighter than a sunlit white wall (3e4 cd/m2) is a window or a disc, which counts as 3e4.
     lit = (np.minimum(picture, 3e4) * weights for picture in patch)
     return np.array([_in_cells(picture) for picture in lit]) / _cell_roots(patch.shape)
 

@@ -21,6 +21,7 @@ from fieldlum.core.records import Site, counted, listed
 from fieldlum.core.room_states import cover_state, parse_state
 from fieldlum.core.statistics import nan_percentiles
 from fieldlum.sky.daylight import Light
+from fieldlum.sky.perez import reinhart_patches
 from fieldlum.sky.sky_view.measured_discs import MIN_DISCS, MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
@@ -99,16 +100,24 @@ class Captured:
 
     read: returns the sky picture of a capture by its index. disc_share [n]: illuminance of the disc
     over that of the beam; 0 where the picture shows no disc, NaN where its size is not known.
+    elsewhere_cdm2 [n, 2305]: luminance in `reinhart_patches`, NaN where not seen, if pictures have
+    only a part of the sky.
     """
 
     light: Light
     read: Callable[[int], SkyPicture]
     disc_share: Floats
+    elsewhere_cdm2: Floats32 | None = None
 
     def take(self, rows: Sequence[int]) -> Captured:
         """Return the captures with the indices `rows`, from 0, in that order."""
         index = np.array(rows, int)
-        return Captured(self.light[index], lambda k: self.read(index[k]), self.disc_share[index])
+        return Captured(
+            self.light[index],
+            lambda k: self.read(index[k]),
+            self.disc_share[index],
+            None if self.elsewhere_cdm2 is None else self.elsewhere_cdm2[index],
+        )
 
 
 def sky_view_of(
@@ -203,7 +212,7 @@ def estimate(
     if usual is None and (turned := _turned(stack, decided.view)) is not pose:
         decided = _decided(stack, turned)
     decided = _over_seasons(decided, stack)
-    view = _checked(decided, captured.take(rest.tolist()), covered_utc)
+    view = _corrected_by_discs(decided, captured.take(rest.tolist()), covered_utc)
     return replace(view, notes=(*_notes_on_level(decided.reference.brightest, stack), *view.notes))
 
 
@@ -218,9 +227,11 @@ class _Stack:
     light: outside at the n captures; rows [n]: their indices in `Captured`; kept [h, w]: the p
     pixels. luminance_cdm2 [n, p]: NaN where clipped or not seen. dark [h, w]: pixels that a lens
     saw, but that no picture has, because they are too dark; usually [h, w]: upper bound of the
-    beam's share in the usual state of the room, 0 if the pictures are of that state. latitude_deg:
-    of the place, None if the sun's path is not to be used. is_sure: whether a capture shows the
-    sun's disc, the usual view is sure, or a tint or blind is marked.
+    beam's share in the usual state of the room, 0 if the pictures are of that state. elsewhere_cdm2
+    [n, m]: luminance in parts of the sphere that no picture has, at the patches `elsewhere` [m] of
+    `reinhart_patches`. latitude_deg: of the place, None if the sun's path is not to be used.
+    is_sure: whether a capture shows the sun's disc, the usual view is sure, or a tint or blind is
+    marked.
     """
 
     grid: SkyGrid
@@ -230,6 +241,8 @@ class _Stack:
     dark: Mask
     usually: Floats
     luminance_cdm2: Floats32
+    elsewhere: Indices
+    elsewhere_cdm2: Floats32
     latitude_deg: float | None = None
     is_sure: bool = True
 
@@ -241,8 +254,8 @@ class _Stack:
 
     def take(self, index: Indices) -> _Stack:
         """Return the pictures of the captures with some indices, from 0."""
-        light, luminance = self.light[index], self.luminance_cdm2[index]
-        return replace(self, light=light, rows=self.rows[index], luminance_cdm2=luminance)
+        names = ("light", "rows", "luminance_cdm2", "elsewhere_cdm2")
+        return replace(self, **{name: getattr(self, name)[index] for name in names})
 
     @property
     def columns(self) -> Indices:
@@ -277,7 +290,16 @@ def _stack(
         values = np.where(np.isnan(values) & in_lens, 0.5 * picture.dark_cdm2, values)
         luminance[n] = np.where(np.isinf(values), np.nan, values)[kept]  # infinite: clipped
     usually = np.zeros(kept.shape) if usual is None else np.nan_to_num(usual.high)
-    return _Stack(grid, captured.light[rows], rows, kept, in_lens & ~kept, usually, luminance)
+    inside, row, column = grid.indices(reinhart_patches().directions)
+    other = np.flatnonzero(~inside | ~kept[row, column])
+    if captured.elsewhere_cdm2 is None:
+        other = other[:0]
+        other_cdm2 = np.empty((len(rows), 0), np.float32)
+    else:
+        other_cdm2 = captured.elsewhere_cdm2[rows][:, other]
+    dark = in_lens & ~kept
+    light = captured.light[rows]
+    return _Stack(grid, light, rows, kept, dark, usually, luminance, other, other_cdm2)
 
 
 def _placed(picture: SkyPicture, grid: SkyGrid) -> Floats32:
@@ -320,7 +342,7 @@ def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = N
     pose: of the camera; reference: the sky that is in view, None to find it in the pictures.
     """
     rays = pose.true_directions(stack.grid.rays()[stack.kept])  # [p, 3]
-    reference = reference or sky_reference(stack.luminance_cdm2, stack.light, rays)
+    reference = reference or _reference(stack, rays, pose)
     by_pixel = follow(stack.luminance_cdm2, stack.light, rays, reference)  # [p]
     followed = Followed(*map(stack.placed, astuple(by_pixel)))  # [h, w]
     ratio, brightest = followed.ratio, reference.brightest  # NaN brightest: nothing follows the sky
@@ -360,6 +382,24 @@ def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = N
         channels[name] = np.where(not_seen, np.nan, values).astype(np.float32)
     view = SkyView(stack.grid, captures=len(stack.light), pose=pose, **channels)
     return _Decided(view, sky, bright, scatters, reference, is_behind)
+
+
+def _reference(stack: _Stack, rays: Floats, pose: CameraPose) -> SkyReference:
+    """Return the sky in view, by the pictures and by what the panoramas show elsewhere.
+
+    rays: true directions of the pixels kept [p, 3]; pose: of the camera.
+    """
+    step = max(1, len(rays) // (10 * SOME))  # every step-th direction is enough
+    patches = reinhart_patches()
+    others = pose.true_directions(patches.directions[stack.elsewhere])
+    altitude = np.arcsin(np.clip(rays[::step, 2], -1.0, 1.0))
+    size_sr = step * np.radians(stack.grid.step_deg) ** 2
+    return sky_reference(
+        np.concatenate([stack.luminance_cdm2[:, ::step], stack.elsewhere_cdm2], axis=1),
+        stack.light,
+        np.concatenate([rays[::step], others]),
+        np.concatenate([size_sr * np.cos(altitude), patches.solid_angles_sr[stack.elsewhere]]),
+    )
 
 
 def _openness(
@@ -646,28 +686,30 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
 # captured discs
 
 
-def _checked(decided: _Decided, captured: Captured, covered: Sequence[datetime]) -> SkyView:
-    """Return the view and its seasons, corrected where captures show a disc or none.
+def _corrected_by_discs(
+    decided: _Decided, captured: Captured, covered: Sequence[datetime]
+) -> SkyView:
+    """Return the view, with its seasons in `others`, corrected where captures show a disc or none.
 
-    Its notes name the captures that contradict it, and those through an unmarked blind. covered:
-    times of the latter, as far as they are known before and so not among `captured`.
+    covered: times of captures through an unmarked blind that was found before; they are not in
+    `captured`. The notes name them, and the captures that contradict the view.
     """
     # Only captures with a strong beam decide, if it is known whether they show a disc.
     strong = (captured.light.direct_lx > BEAM_LX) & ~np.isnan(captured.disc_share)
     captured = captured.take(np.flatnonzero(strong).tolist())
     # Scattering panes behind which several suns showed no disc are shut.
     suns = decided.view.pose.in_pictures(captured.light.apparent_sun_direction)
-    without = _panes_without_disc(decided.view, decided.scatters, suns, captured.disc_share)
+    shut = _panes_without_disc(decided.view, decided.scatters, suns, captured.disc_share)
     # All discs together correct the transmittance. Then each capture that contradicts a view of
     # its days corrects that view where the sun was.
     gain, views, contradictions = _gain(decided.view, captured), [], dict.fromkeys(covered, _DARK)
     for view in (decided.view, *decided.seasons):
         holds = view.days_from(captured.light.day_of_year) <= REACH_DAYS
         then = captured.take(np.flatnonzero(holds).tolist()) if view.days else captured
-        corrected, contradictions_then = _corrected(_scaled(view, gain, without), then)
+        corrected, contradictions_then = _corrected(_scaled(view, gain, shut), then)
         views.append(corrected)
         contradictions |= contradictions_then
-    decided = replace(decided, scatters=decided.scatters & ~without)
+    decided = replace(decided, scatters=decided.scatters & ~shut)
     notes = (*_notes(decided), *decided.view.pose.notes, *_contradiction_notes(contradictions))
     return replace(views[0], notes=notes, others=tuple(views[1:]))
 
@@ -718,9 +760,9 @@ def _gain(view: SkyView, captured: Captured) -> float:
     return float(np.clip(np.exp(shrunk), 0.5, 1.5))
 
 
-def _scaled(view: SkyView, gain: float, without: Mask) -> SkyView:
-    """Return the view with transmittance and bounds times `gain`, shut where `without` [h, w]."""
-    shares = np.where(without, np.float32(0.0), [view.openness, view.low, view.high])
+def _scaled(view: SkyView, gain: float, shut: Mask) -> SkyView:
+    """Return the view with transmittance and bounds times `gain`, no sky where `shut` [h, w]."""
+    shares = np.where(shut, np.float32(0.0), [view.openness, view.low, view.high])
     low, high = np.minimum(shares[1:] * np.float32(gain), 1.0)
     pane = np.minimum(view.transmittance * np.float32(gain), 1.0)
     return replace(view, openness=shares[0], transmittance=pane, low=low, high=high)

@@ -86,16 +86,17 @@ class SkyReference:
         return perez * np.exp(total / np.maximum(weight, 1e-12)).astype(np.float32)
 
 
-def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReference:
+def sky_reference(
+    luminance: Floats32, light: Light, rays: Floats, sizes_sr: Floats
+) -> SkyReference:
     """Return m of p directions that show the sky, and how it differs from Perez's sky there.
 
     luminance [n, p] cd/m2, NaN if unusable, of n captures with the light `light` outside; rays
-    [p, 3]: unit vectors, x east, y north, z up. The first directions are bright and follow Perez's
-    sky better than other light. Each further step takes those that follow the sky as the last step
-    corrected it. Without any such direction m is 0, and the sky is Perez's, uncorrected.
+    [p, 3]: unit vectors, x east, y north, z up; sizes_sr [p]: solid angle of each direction. The
+    first directions are bright and follow Perez's sky better than other light. Each further step
+    takes those that follow the sky as the last step corrected it. Without any such direction m is
+    0, and the sky is Perez's, uncorrected.
     """
-    step = max(1, len(rays) // (10 * SOME))  # every step-th direction is enough
-    luminance, rays = luminance[:, ::step], rays[::step]
     measured = usable_log(luminance, light, rays)
     reference = SkyReference(np.empty((0, 3)), np.empty((len(light), 0)), float("nan"))
     level, spread = _level_spread(measured - np.log(reference.sky(light, rays)))
@@ -104,7 +105,8 @@ def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReferen
     if not plausible.any():
         return reference
     # ln of the ratio to Perez's sky behind the clearest pane; the quantile omits gross errors
-    brightest = float(np.quantile(level[plausible], 0.98))
+    weights = sizes_sr[plausible]
+    brightest = np.quantile(level[plausible], 0.98, weights=weights, method="inverted_cdf")
     follows = plausible
     for share in _REFERENCE_SHARES:
         index = np.flatnonzero(plausible & follows & (level > brightest + np.log(share)))

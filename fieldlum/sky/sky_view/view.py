@@ -220,7 +220,8 @@ class SkyView:
         factor = max(1, int(np.ceil(self.grid.step_deg / _FINE_DEG)))
         maps = np.stack([self.through, self.low, self.high]).astype(np.float32)
         if factor > 1:
-            # where captures left open whether the sky is seen, no edge narrows the bounds
+            # Where captures gave only bounds, u is `undecided_u` of these, or somewhat less after
+            # discs corrected them (0.8, chosen): no edge narrows these. Open pixels have no edge.
             width = np.fmax(self.high - self.low, _MIN_WIDTH)
             undecided = self.u > 0.8 * undecided_u(width, self.transmittance)
             undecided &= self.openness < _OPEN_PIXEL

@@ -196,10 +196,11 @@ def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Floats:
 
 
 def room_shares(room: Room | None, suns: Floats) -> Floats:
-    """Return the share of the beam (0 to 1) that reaches the camera in a stated room, [m].
+    """Return the share of the beam (0 to 1) that reaches the camera in a stated room, [n].
 
     room: a box or a Radiance scene; None gives 0. suns: unit vectors to the apparent sun, x east, y
-    north, z up [m, 3]. Raises InputError for an impossible room.
+    north, z up [n, 3]. In a Radiance scene a share up to 0.001 counts as 0, and so does a sun below
+    the horizon. Raises InputError for an impossible room.
     """
     if room is None:
         return np.zeros(len(suns))

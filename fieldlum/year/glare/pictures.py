@@ -105,7 +105,10 @@ def _check_views(header: images.RadianceHeader, path: Path) -> None:
 
 
 def _read_exr(path: Path, view_options: str, part: str) -> Picture:
-    """Return an .exr picture, or its part, with the view that view_options, or else it, state."""
+    """Return an .exr picture, or its part; view_options replace the view that it states.
+
+    A panorama gets its sun and lamps from its session, and has no view.
+    """
     picture, stated = images.read_exr(path, part)
     is_panorama = stated == "equirect" and not view_options
     if is_panorama:
@@ -115,7 +118,7 @@ def _read_exr(path: Path, view_options: str, part: str) -> Picture:
         # panoramas/ can be a link to another disk
         marked = marks(Session(path.absolute().parent.parent)).get(path.stem, "")
         return Picture(picture, None, notes=notes, lamps=is_lit(marked) or None)
-    text = view_options or ("" if stated == "equirect" else stated.removeprefix("VIEW=").strip())
+    text = view_options or stated.removeprefix("VIEW=").strip()
     view = parse_view(text, path, picture.heading_deg)
     check_proportion(view, picture.luminance_cdm2.shape, 1.0, path)
     own = replace(picture, heading_deg=view.azimuth_deg, rgb=None)
