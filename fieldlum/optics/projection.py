@@ -17,7 +17,7 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from fieldlum.core.arrays import Array, ArrayLike, Floats, Mask
+from fieldlum.core.arrays import Array, ArrayLike, Floats, Indices, Mask
 from fieldlum.core.strict_toml import Positive
 
 # ----------------------------------------------------------------------------------------------
@@ -129,6 +129,16 @@ def equirect_pixel(
     row = (90.0 - np.asarray(altitude_deg, float)) / 180.0 * height
     turn = (np.asarray(azimuth_deg, float) - heading_deg) / 360.0 + 0.5
     return row, (turn % 1.0) * width
+
+
+def flat_pixels(towards: Floats, shape: tuple[int, ...], heading_deg: float) -> Indices:
+    """Return the index in the flattened panorama of the pixel in each direction, [...].
+
+    towards: unit vectors [..., 3], x east, y north, z up; shape: (H, W) of the panorama;
+    heading_deg: azimuth of its centre column, clockwise from north.
+    """
+    row, column = equirect_pixel(*altitude_azimuth_deg(towards), shape[0], shape[1], heading_deg)
+    return np.ravel_multi_index((row.astype(int), column.astype(int)), shape, mode=("clip", "wrap"))
 
 
 _COMPASS = tuple("N NNE NE ENE E ESE SE SSE S SSW SW WSW W WNW NW NNW".split())  # noqa: SIM905

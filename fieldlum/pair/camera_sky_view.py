@@ -15,7 +15,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.plot_style import RED, new_figure, open_axes, styled
 from fieldlum.core.records import JsonTable, Panorama, Room, Site, SunSource
 from fieldlum.optics.images import read_panorama
-from fieldlum.optics.projection import altitude_azimuth_deg, equirect_pixel
+from fieldlum.optics.projection import altitude_azimuth_deg, flat_pixels
 from fieldlum.pair.sun_strength import is_measured
 from fieldlum.session import Session, replacing_path, sha256
 from fieldlum.session.codec import data_digest
@@ -157,15 +157,13 @@ def is_outdated(session: Session, view: SkyView) -> bool:
 def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
     """Return a function of directions [p, 3]: which of them a lens saw in 80 % of captures, [p]."""
     masks = [capture.seen for capture in captures if capture.seen is not None]
-    height, width = masks[0].shape
     alike = [mask for mask in masks if mask.shape == masks[0].shape]
     often = np.add.reduce(alike, dtype=int) > 0.8 * len(alike)
     heading_deg = captures[0].heading_deg
 
     def in_lens(rays: Floats) -> Mask:
         """Return a mask [p] of the directions [p, 3] that a lens saw in most captures."""
-        row, column = equirect_pixel(*altitude_azimuth_deg(rays), height, width, heading_deg)
-        return often[np.minimum(row.astype(int), height - 1), column.astype(int) % width]
+        return often.ravel()[flat_pixels(rays, often.shape, heading_deg)]
 
     return in_lens
 
@@ -173,10 +171,8 @@ def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
 def in_patches(panorama: Panorama) -> Floats32:
     """Return the luminance at the centres of `reinhart_patches`, NaN where no lens saw [2305]."""
     light = panorama.seen_cdm2
-    towards = altitude_azimuth_deg(reinhart_patches().directions)
-    height, width = light.shape
-    row, column = equirect_pixel(*towards, height, width, panorama.heading_deg)
-    return light[row.astype(int), column.astype(int) % width]
+    towards = reinhart_patches().directions
+    return light.ravel()[flat_pixels(towards, light.shape, panorama.heading_deg)]
 
 
 def shares_of_beam(view: SkyView | None, room: Room | None, light: Light) -> tuple[Floats, Mask]:

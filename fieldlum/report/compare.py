@@ -265,11 +265,9 @@ def _on_one_grid(
     model_light, _ = valid_pixels(picture.panorama, model_file)
     rays, weight = picture_directions(picture)
     light, _ = valid_pixels(capture, capture_file)
-    (height, width), heading_deg = light.shape, capture.heading_deg
-    angles_deg = projection.altitude_azimuth_deg(rays)
-    row, column = projection.equirect_pixel(*angles_deg, height, width, heading_deg)
-    row, column = np.floor(row).astype(int), np.floor(column).astype(int)
-    at = (np.minimum(row, height - 1), column % width)  # the capture's pixel in each direction
+    height, heading_deg = len(light), capture.heading_deg
+    # the capture's pixel in each direction
+    at = np.unravel_index(projection.flat_pixels(rays, light.shape, heading_deg), light.shape)
     weight = np.where(capture.seen[at], weight, 0.0)
     if picture.view is not None and picture.view.kind != "v":
         # beyond its angle a fisheye's square has no picture

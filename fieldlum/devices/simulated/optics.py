@@ -76,26 +76,13 @@ def _source_pixels(rays: Floats, panorama: tuple[int, int], grid: SkyGrid | None
     number of pixels of the panorama. rays: unit vectors in the panorama's own frame (heading 0),
     [n, 3]; panorama: (height, width); grid: directions of the finer picture, None without one.
     """
-    coarse = _panorama_pixels(rays, panorama)
+    coarse = projection.flat_pixels(rays, panorama, 0.0)
     if grid is None:
-        return coarse
+        return coarse.astype(np.int32)
     row, column = (np.floor(place) for place in replace(grid, heading_deg=0.0).pixels(rays))
     is_inside = (row >= 0) & (row < grid.height) & (column < grid.width)
     fine = panorama[0] * panorama[1] + row * grid.width + column
     return np.where(is_inside, fine, coarse).astype(np.int32)
-
-
-def _panorama_pixels(rays: Floats, panorama: tuple[int, int]) -> Ints32:
-    """Return the flat index of the panorama's pixel that each ray meets, [...].
-
-    rays: unit vectors in the panorama's own frame (heading 0), [..., 3]; panorama: (height, width).
-    """
-    height, width = panorama
-    angles_deg = projection.altitude_azimuth_deg(rays)
-    row, column = projection.equirect_pixel(*angles_deg, height, width, 0.0)
-    row = np.minimum(row.astype(np.int32), height - 1)
-    column = np.minimum(column.astype(np.int32), width - 1)
-    return (row * width + column).astype(np.int32)
 
 
 def channels(panorama: Panorama) -> Floats32:
@@ -117,9 +104,8 @@ def _fine_channels(detail: SkyPicture, flat: Floats32, panorama: Panorama) -> Fl
     detail : the finer picture, which has luminance only; flat : channels of the panorama, as
     `channels` returns them, from which each finer pixel has its colour.
     """
-    height, width = panorama.luminance_cdm2.shape
     rays = replace(detail.grid, heading_deg=0.0).rays().reshape(-1, 3)
-    coarse = _panorama_pixels(rays, (height, width))
+    coarse = projection.flat_pixels(rays, panorama.luminance_cdm2.shape, 0.0)
     luminance = panorama.luminance_cdm2.ravel()[coarse]
     ratio = detail.luminance_cdm2.ravel() / np.maximum(luminance, 1e-9)
     return flat[coarse] * np.where(np.isfinite(ratio), ratio, 1.0)[:, None].astype(np.float32)

@@ -25,9 +25,9 @@ from fieldlum.optics.projection import (
     across_axes,
     altitude_azimuth_deg,
     direction,
-    equirect_pixel,
     equirect_rays,
     equirect_solid_angles,
+    flat_pixels,
 )
 from fieldlum.room.scene.box_room import glass_optics
 from fieldlum.session.codec import read_arrays
@@ -350,16 +350,6 @@ class Mirror:
             f"{altitude} degrees, u {self.u_deg:.1f} degrees): a glass facade, water or a glossy "
             f"surface. {result}. Hours in which it is unclear whether it is in view are not trusted"
         )
-
-
-def flat_pixels(towards: Floats, shape: tuple[int, ...], heading_deg: float) -> Indices:
-    """Return the index in the flattened map of the pixel in each direction, [...].
-
-    towards: unit vectors [..., 3], x east, y north, z up; shape: (H, W) of the map; heading_deg:
-    azimuth of its centre column, clockwise from north.
-    """
-    row, column = equirect_pixel(*altitude_azimuth_deg(towards), shape[0], shape[1], heading_deg)
-    return np.ravel_multi_index((row.astype(int), column.astype(int)), shape, mode=("clip", "wrap"))
 
 
 # ----------------------------------------------------------------------------------------------

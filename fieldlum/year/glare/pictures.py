@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.core.arrays import ArrayLike, Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import ArrayLike, Floats, Floats32, Ints32, Mask
 from fieldlum.core.errors import FieldlumError, InputError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import Panorama, SunSource
@@ -411,7 +411,7 @@ def panorama_to_fisheye(
 @lru_cache(maxsize=4)  # 13 MB each at 800 pixels; 66 MB for maps of 2 000 rows
 def _fisheye_samples(
     height: int, width: int, heading_deg: float, azimuth_deg: float, size: int
-) -> tuple[Mask, Indices]:
+) -> tuple[Mask, Ints32]:
     """Return which samples of a fisheye are in front [k size, k size], and their panorama pixels.
 
     There are k x k samples in each pixel of the fisheye. Panorama pixels are flat indices into the
@@ -423,10 +423,8 @@ def _fisheye_samples(
     view = parse_view(FISHEYE_VIEW, Path(), azimuth_deg)
     rays = picture_rays(view, x, y)[0]
     inside = rays[..., 2] > 0.0
-    place = projection.altitude_azimuth_deg(rays[inside] @ view.frame)
-    row, column = projection.equirect_pixel(*place, height, width, heading_deg)
-    row, column = np.minimum(row, height - 1), np.minimum(column, width - 1)
-    return inside, row.astype(np.int32) * width + column.astype(np.int32)
+    pixels = projection.flat_pixels(rays[inside] @ view.frame, (height, width), heading_deg)
+    return inside, pixels.astype(np.int32)
 
 
 def disc_pixels(views: Views, shape: tuple[int, int], sun: SunSource) -> Floats32:
