@@ -10,6 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, get_args
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from fieldlum.api.measurement import path_of, place
@@ -68,7 +69,6 @@ class RoomModel:
         model does not state it). Memory grows with the number of hours: 0.4 MB for one at 460 x
         230. Raises InputError if `light` is not from `light_at`.
         """
-        import numpy as np
         import xarray as xr
 
         from fieldlum.year.predict.annual import unit_of
@@ -305,8 +305,6 @@ def light_at(
     >>> fieldlum.light_at("2027-06-21T20:30Z", "office.toml", 800.0, 120.0).sun_altitude_deg
     array([65.5])
     """
-    import numpy as np
-
     if isinstance(times_utc, str | datetime) or not isinstance(times_utc, Iterable):
         times_utc = [times_utc]
     expected = "a datetime with a time zone, or a text such as 2027-06-21T20:30Z"

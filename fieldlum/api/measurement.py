@@ -1,8 +1,6 @@
 """Sessions, plans, merged brackets, pictures and their glare in the Python API."""
 
 # Signatures in help() show the names of types.
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from datetime import UTC, date, datetime

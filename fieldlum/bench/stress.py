@@ -13,7 +13,6 @@ was expected.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from datetime import timedelta
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +24,8 @@ from fieldlum.core.records import JsonTable
 from fieldlum.learn.models.scores import Scores, evaluate, truth
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import fit_timed, held_out_warnings, patch_mode
-from fieldlum.room.fit.apply_scene import with_patches
+from fieldlum.room.fit.apply_scene import earlier, with_patches
 from fieldlum.room.fit.misplaced_patches import misplacement_of, warnings_of
-from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
 
 MIN_HOURS = 8  # hours of training and of test that a condition needs; chosen
@@ -77,11 +75,8 @@ def late_clock(data: Dataset, minutes: float) -> Dataset:
 
     Sun patches are computed again for this sun, if there is a [room]; the maps do not change.
     """
-    site, delay, light = data.setup.site, timedelta(minutes=minutes), data.light
-    now = sun.position(light.t_utc, site)
-    later = sun.position([t + delay for t in light.t_utc], site)
-    altitude_deg = light.sun_altitude_deg + later.altitude_deg - now.altitude_deg
-    azimuth_deg = (light.sun_azimuth_deg + later.azimuth_deg - now.azimuth_deg) % 360.0
+    later = earlier(data.light, -minutes, data)
+    altitude_deg, azimuth_deg = later.sun_altitude_deg, later.sun_azimuth_deg
     return _patched(with_light(data, sun_altitude_deg=altitude_deg, sun_azimuth_deg=azimuth_deg))
 
 
@@ -134,8 +129,7 @@ def from_global(data: Dataset) -> Dataset:
     light = data.light
     zenith_deg = 90.0 - light.sun_altitude_deg
     ghi_wm2 = light.dni_wm2 * np.maximum(np.cos(np.radians(zenith_deg)), 0.0) + light.dhi_wm2
-    day_of_year = np.array([t.timetuple().tm_yday for t in light.t_utc])
-    derived = erbs(ghi_wm2, np.minimum(zenith_deg, 88.0), day_of_year)
+    derived = erbs(ghi_wm2, np.minimum(zenith_deg, 88.0), light.day_of_year)
     dni, dhi = (np.nan_to_num(np.asarray(derived[name], float)) for name in ("dni", "dhi"))
     return with_light(data, dni_wm2=np.clip(dni, 0.0, 1100.0), dhi_wm2=np.maximum(dhi, 1.0))
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import click
 
 from fieldlum.cli.command_parameters import FILE_PATH, PATH, declare
+from fieldlum.core.errors import DeviceError, InputError
 
 if TYPE_CHECKING:
     from fieldlum.core.scheduler import Scheduler
@@ -124,7 +125,6 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
     for a session.toml that cannot be read.
     """
     from fieldlum.cli.terminal import say
-    from fieldlum.core.errors import DeviceError
     from fieldlum.devices.address_permission import permission_subject, require_permitted
     from fieldlum.session.permits import permit
 
@@ -148,8 +148,6 @@ def new_files(*paths: Path | None, force: bool) -> None:
 
     paths: the files; None: there is no such file to write.
     """
-    from fieldlum.core.errors import InputError
-
     for path in paths:
         if path is not None and path.exists() and not force:
             remedy = "choose another name, or replace it by --force"

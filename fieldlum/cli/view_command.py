@@ -8,6 +8,7 @@ import click
 from fieldlum.cli.command_parameters import FILE_PATH
 from fieldlum.cli.options import command_of, new_files
 from fieldlum.cli.terminal import notes, say, table_lines, tell
+from fieldlum.core.errors import InputError, NotEnoughDataError
 
 
 def _region(text: str) -> Any:
@@ -42,7 +43,6 @@ def command(
           cone:AZ,ALT,RADIUS (degrees; azimuth from north); can be repeated.
       --csv FILE: Write the statistics of the regions.
     """
-    from fieldlum.core.errors import InputError
     from fieldlum.report import view
     from fieldlum.session.codec import write_csv
 
@@ -76,7 +76,6 @@ def command(
 
 def _latest_panorama(path: Path) -> Path:
     """Return the latest panorama of a session, or the path itself if it is no folder."""
-    from fieldlum.core.errors import NotEnoughDataError
     from fieldlum.session import open_session
 
     if not path.is_dir():

@@ -6,13 +6,11 @@ right is clockwise. Sensor coordinates: (0, 0) is the top left corner of the top
 right, y down, seen from behind the camera.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from msgspec import Meta
@@ -366,7 +364,7 @@ class Fisheye:
     lens: LensGeometry
 
     @classmethod
-    def of_size(cls, size: int, lens: LensGeometry) -> Fisheye:
+    def of_size(cls, size: int, lens: LensGeometry) -> Self:
         """Return an equidistant picture with the full angle and the pose of any lens."""
         half = size / 2
         circle = {"centre_px": (half, half), "radius_px": half}

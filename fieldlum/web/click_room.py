@@ -1,12 +1,10 @@
 """The page of `fieldlum scene click`, which turns clicked corners of a panorama into a room."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import tomli_w
@@ -45,7 +43,7 @@ class ClickedPicture:
     grid: ClickGrid
 
     @classmethod
-    def of(cls, session: Session, slot: str = "") -> ClickedPicture:
+    def of(cls, session: Session, slot: str = "") -> Self:
         """Return the panorama of a slot; for "" that with the highest sun in the plan.
 
         Raises InputError if it does not exist or cannot be read, NotEnoughDataError if no slot is

@@ -10,8 +10,6 @@ pixels, their weights w, errors e and targets t. The loss depends on the network
 that torchrun's processes add up S, T and b before, and the gradients after the backward pass.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import os
@@ -21,7 +19,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -140,7 +138,7 @@ class Inputs:
         fixed, sky = self.pixel[pixel], self.sky[hour, self.sky_patch[pixel]]
         return torch.cat([fixed[:, :2], self.sun[hour], fixed[:, 2:], sky.unsqueeze(1)], dim=1)
 
-    def at(self, light: Light) -> Inputs:
+    def at(self, light: Light) -> Self:
         """Return the inputs of the same pixels in the hours of `light`.
 
         Altitude is divided by 90 degrees, DNI by 1100 and DHI by 700 W/m2, as in the paper; azimuth

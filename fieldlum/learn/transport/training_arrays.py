@@ -9,7 +9,6 @@ measured. A predicted year has no windows to look at and uses Perez's sky.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +17,11 @@ from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_
 from fieldlum.core.room_states import LAMP_OFF, LAMP_WORD, cover_state, indicators, parse_state
 from fieldlum.core.statistics import nan_percentiles
 from fieldlum.learn.models.held_out_choice import light_variance, weight_of_variance
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_rays, equirect_solid_angles
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.light_similarity import LAMP_LX, Facades, Features, facades_of, light_features
 from fieldlum.sky.perez import reinhart_patches
-
-if TYPE_CHECKING:
-    from fieldlum.learn.models.training_data import Dataset
 
 MIN_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
 # Weights of the cells and of their sum next to the sun's light in a coarse model of the room, whose

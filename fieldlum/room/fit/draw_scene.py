@@ -23,18 +23,12 @@ def draw(folder: Path, data: Dataset, scene: Scene) -> list[Path]:
 
     overlay.png: edges of fitted and stated patches over up to four captures; plan.svg: the fitted
     room from above. The folder is created; existing files are replaced. data: the captures of the
-    fit; scene: its `chosen` must be "fitted", as `fit_scene` returns it. Matplotlib's backend
-    becomes Agg. Raises InputError as `with_scene`.
+    fit; scene: its `chosen` must be "fitted", as `fit_scene` returns it.
+    Raises InputError as `with_scene`.
     """
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot
-
     figure = _overlay(data, scene)
     with replacing_path(folder / "overlay.png") as temporary:
         figure.savefig(temporary, dpi=110, bbox_inches="tight")
-    pyplot.close(figure)
     heading_deg = (data.heading_deg + scene.north_deg) % 360.0
     camera = replace(data.setup.camera, heading_deg=heading_deg)
     fitted = replace(data.setup, camera=camera, room=scene.room)
@@ -47,14 +41,15 @@ def _overlay(data: Dataset, scene: Scene) -> Any:
 
     A matplotlib Figure.
     """
-    from matplotlib import pyplot
+    from matplotlib.figure import Figure
 
     rows = _rows_to_draw(data)
     hours = data.take(rows)
     fitted = with_scene(hours, scene).patch_cdm2
     stated = with_patches(hours).patch_cdm2
     assert fitted is not None and stated is not None
-    figure, axes = pyplot.subplots(len(rows), 1, figsize=(9, 4.2 * len(rows)), squeeze=False)
+    figure = Figure(figsize=(9, 4.2 * len(rows)))
+    axes = figure.subplots(len(rows), 1, squeeze=False)
     for k, axis in enumerate(axes[:, 0]):
         axis.imshow(np.log10(np.maximum(hours.luminance_cdm2[k], 1.0)), cmap="gray")
         for patch, colour in ((stated[k], STATED_COLOUR), (fitted[k], FITTED_COLOUR)):

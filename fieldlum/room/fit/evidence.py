@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import timedelta
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from scipy.ndimage import binary_dilation
 from fieldlum.core.arrays import Floats, Floats32, Indices
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.room.fit.guess import Guess, guess_of
 from fieldlum.room.fit.renderer import FLOOR, OUTSIDE, SHELL, Surfaces, surfaces, unit_patches
@@ -27,10 +27,6 @@ from fieldlum.room.scene.box_room import is_box_with_window
 from fieldlum.room.scene.view import pixel_rays
 from fieldlum.sky import sun
 from fieldlum.sky.light_similarity import Kernel, facades_of, light_features
-
-if TYPE_CHECKING:
-    from fieldlum.learn.models.training_data import Dataset
-
 
 # From a study of two rooms rendered by Radiance, before this code was written. docs/scene.md has
 # later measurements.

@@ -4,11 +4,8 @@ Numbers are searched by damped least squares. Elements are added one by one: the
 lowers the misfit of all sunny hours most, if its gain exceeds its standard error over the hours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -16,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from fieldlum.core.arrays import Floats
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.evidence import PIXELS, SceneEvidence, scene_evidence
 from fieldlum.room.fit.guess import Guess, guess_of, room_of
 from fieldlum.room.fit.parameters import (
@@ -25,14 +23,11 @@ from fieldlum.room.fit.parameters import (
     room_parameters,
     stated_albedo,
 )
+from fieldlum.room.fit.pose_prior import PosePrior
 from fieldlum.room.fit.proposals import KINDS, Kind
 from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.fit.search import STEP_SHARES, SceneCost, covariance, prior_unit, search
 from fieldlum.room.fit.sunny_hours import MIN_SUNNY_HOURS
-
-if TYPE_CHECKING:
-    from fieldlum.learn.models.training_data import Dataset
-    from fieldlum.room.fit.pose_prior import PosePrior
 
 # Rounds of proposals, and proposals of a kind that are searched in each; chosen, for time.
 MAX_ROUNDS, _SEARCHED = 4, 6

@@ -1,10 +1,7 @@
 """Search the numbers of a scene: damped least squares on a robust misfit plus the tape's priors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +9,7 @@ from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.room.fit.evidence import WIDTH, SceneEvidence
 from fieldlum.room.fit.guess import Guess, is_possible, thickened
 from fieldlum.room.fit.parameters import POSE_NAMES, Parameter
-
-if TYPE_CHECKING:
-    from fieldlum.room.fit.pose_prior import PosePrior
+from fieldlum.room.fit.pose_prior import PosePrior
 
 # Cost of one standard deviation of one number, as a share of the stated misfit, with `PRIOR_HOURS`
 # sunny hours or more: nine days have 25 to 60. With a quarter of it a room with a blind moved the

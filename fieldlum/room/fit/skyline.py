@@ -1,7 +1,5 @@
 """Compare a guess with the sky that the camera sees: window edges, buildings and trees outside."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

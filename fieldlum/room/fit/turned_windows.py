@@ -10,7 +10,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
-from fieldlum.room.fit.evidence import require_box
+from fieldlum.room.fit.evidence import MIN_CDM2, require_box
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.renderer import OUTSIDE, surfaces
 from fieldlum.room.scene.view import pixel_rays
@@ -20,7 +20,6 @@ _MIN_TURN_DEG = 30.0  # chosen: more than the search corrects for a compass near
 # Gain of ln luminance in the windows by a turn of the room. Measured in the office and in three
 # rendered rooms: 0 with the correct room; 2.6 to 3.0 with the room turned by 180 degrees.
 _WINDOW_LOG_GAIN = 1.0
-_FLOOR_CDM2 = 0.1  # chosen: a luminance below that of a room by day
 
 
 def check_captures(data: Dataset, room: Room) -> None:
@@ -50,7 +49,7 @@ def turned_windows_note(data: Dataset, room: Room) -> str:
     ends = surfaces(guess_of(room, data.heading_deg), rays.astype(np.float32))
     glass = (ends.surface == OUTSIDE).reshape(height, width)
     omega = np.where(data.seen, equirect_solid_angles(height, width), 0.0)
-    level = np.log(np.maximum(np.median(data.luminance_cdm2, axis=0), _FLOOR_CDM2))  # [H, W]
+    level = np.log(np.maximum(np.median(data.luminance_cdm2, axis=0), MIN_CDM2))  # [H, W]
     turns_px = np.arange(0, width, max(1, round(_TURN_STEP_DEG / 360.0 * width)))
     weights = [np.roll(glass, turn, axis=1) * omega for turn in turns_px]
     if min(weight.sum() for weight in weights) <= 0.0:

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_matrix, vstack
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Ints8, Ints32, Ints64
 from fieldlum.core.errors import InputError
@@ -231,8 +232,6 @@ def _form_factors(
     number of directions from each point, the same in every run; workers: threads. Rows sum to at
     most pi, the irradiance by a luminance of 1 all around.
     """
-    from scipy.sparse import csr_matrix, vstack
-
     step, columns = max(1, _RAYS_A_RUN // rays), FIRST_PIECE + len(pieces)
 
     def gathered(start: int) -> Any:
@@ -288,7 +287,6 @@ def near_light(
     place has the light of the `count` nearest points of its face, with less weight beyond `reach_m`
     [n]; on a face without a point, that of the next face that faces the same way.
     """
-    from scipy.sparse import csr_matrix
     from scipy.spatial import KDTree
 
     # the number of the face is a fourth coordinate: points of other faces are far away
@@ -547,8 +545,6 @@ def lit_room(
     same room always gives the same result. Raises InputError for a site without a box room and for
     an impossible room.
     """
-    from scipy.sparse import csr_matrix
-
     sizes, heading = QUALITIES[quality], setup.camera.heading_deg % 360.0
     view = traced_view(box_room(setup), height, heading)
     scene, pieces = view.scene, cut_into_pieces(view.scene, sizes.piece_m)

@@ -1,11 +1,9 @@
 """annual/NAME/hourly.csv: light, trust and glare of each hour of a predicted year."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -46,7 +44,7 @@ class HourlyFile:
     views: dict[str, Floats]
 
     @classmethod
-    def read(cls, folder: Path, azimuths_deg: Floats, count: int) -> HourlyFile:
+    def read(cls, folder: Path, azimuths_deg: Floats, count: int) -> Self:
         """Return the content of hourly.csv in a folder.
 
         azimuths_deg: of its view directions [d]; count: its number of rows. Warns of a file that

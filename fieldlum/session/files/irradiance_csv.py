@@ -1,10 +1,8 @@
 """irradiance/clean.csv: quality-checked irradiance; truth/irradiance.csv: simulated irradiance."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -45,7 +43,7 @@ class CleanIrradiance:
         return float(np.median(steps)) if len(steps) else 60.0
 
     @classmethod
-    def read(cls, path: Path) -> CleanIrradiance:
+    def read(cls, path: Path) -> Self:
         """Return the content of a clean.csv; warn if it changed after `write`.
 
         Raises InputError for a missing file or other content.
@@ -54,7 +52,7 @@ class CleanIrradiance:
         return cls._read(path, ("source", "flags"), remedy)
 
     @classmethod
-    def _read(cls, path: Path, texts: tuple[str, ...], remedy: str) -> CleanIrradiance:
+    def _read(cls, path: Path, texts: tuple[str, ...], remedy: str) -> Self:
         """Return the content of a file; texts: columns that are no numbers; remedy: for errors."""
         expected = f"the columns {', '.join((*_NUMBERS, *texts))}"
         table = read_columns(path, expected, remedy)
@@ -65,7 +63,7 @@ class CleanIrradiance:
             return cls(t_unix_s=times, **dict(zip(_NUMBERS[1:], light, strict=True)), **columns)
 
     @classmethod
-    def read_truth(cls, path: Path) -> CleanIrradiance:
+    def read_truth(cls, path: Path) -> Self:
         """Return simulated irradiance, of a truth/irradiance.csv; it has two or more rows.
 
         Raises InputError for a missing file, other content, fewer rows, times that do not increase,

@@ -1,7 +1,5 @@
 """panoramas/SLOT.json: how a panorama was merged, its quality, and its inputs."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
@@ -132,7 +130,7 @@ class MergeReport(Struct, frozen=True):
     filter_absent: tuple[str, ...] = ()
 
     @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> MergeReport:
+    def from_table(cls, table: Mapping[str, Any]) -> Self:
         """Return the report in the key `quality` of a sidecar; unknown keys are ignored.
 
         Raises KeyError, TypeError or ValueError for other content.

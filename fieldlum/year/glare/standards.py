@@ -5,9 +5,7 @@ annex A.5 and table A.7): 0.45 minimum, 0.40 medium, 0.35 high. Dark occupied ho
 without glare.
 """
 
-from __future__ import annotations
-
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from msgspec import structs
@@ -69,7 +67,7 @@ class DgpUncertainty(NamedTuple):
     drawn: Floats32
     u_maps: Floats
 
-    def hours(self, rows: Mask) -> DgpUncertainty:
+    def hours(self, rows: Mask) -> Self:
         """Return the uncertainty of the hours for which the mask `rows` [n] is True."""
         arrays = {name: getattr(self, name)[..., rows, :] for name in DgpUncertainty._fields[1:]}
         return self._replace(**arrays)
