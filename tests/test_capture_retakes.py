@@ -20,13 +20,12 @@ from fieldlum.devices import Camera
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.optics.profiles import load_camera_profile
-from fieldlum.plan.makeup import captured_ids
 from fieldlum.session import (
     read_journal,
     sha256,
 )
 from fieldlum.session.files.capture_json import CaptureFile
-from fieldlum.session.slot_states import apply_events
+from fieldlum.session.slot_states import apply_events, captured_ids
 
 EVEN_LIGHT = Panorama(np.full((46, 92), 100.0, np.float32), 180.0)
 

@@ -10,10 +10,8 @@ import numpy as np
 
 from fieldlum.bench import stress
 from fieldlum.bench.score_rows import BenchData, radiance_row, score_row
-from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.plot_style import GRID, new_figure, open_axes
-from fieldlum.core.records import JsonTable, counted
-from fieldlum.learn.model_kinds import MODELS
+from fieldlum.core.records import JsonTable
 from fieldlum.learn.models.scores import truth
 from fieldlum.learn.train import Trial, choose_model, day_folds
 from fieldlum.session import replacing_path, write_file

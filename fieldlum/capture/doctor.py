@@ -20,7 +20,7 @@ from fieldlum.optics import profiles
 from fieldlum.optics.raw import same_model
 from fieldlum.session import DEFAULT_GRACE_S, Session, check_writable, sha256
 from fieldlum.session.journal import damage_text, damaged_lines
-from fieldlum.session.slot_states import read_slot_states, slots_ahead, without_capture
+from fieldlum.session.slot_states import captured_ids, slots_ahead, without_capture
 from fieldlum.sky import sun
 
 Verdict = Literal["ok", "warn", "fail"]
@@ -162,9 +162,7 @@ def check_plan(session: Session, now_utc: datetime) -> Iterator[Finding]:
         when = f"the next on {next_local:%a %Y-%m-%d at %H:%M %Z}"
         yield ok("plan", f"{len(ahead)} of {len(slots)} slots are in the future, {when}")
         return
-    states = read_slot_states(session).slots
-    captured = {slot for slot, state in states.items() if state.outcome == "done"}
-    missing, count = without_capture(slots, captured)
+    missing, count = without_capture(slots, captured_ids(session))
     remedy = f"add make-up slots with fieldlum plan {session.root} --replan"
     lack = f", and {missing} of {count} were not captured: {remedy}"
     result = lack if missing else f": all {count} were captured"

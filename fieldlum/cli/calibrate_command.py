@@ -334,8 +334,6 @@ def scale(
     Options:
       --meter-u: The meter's own relative uncertainty.
     """
-    import numpy as np
-
     from fieldlum.calibrate import scale as scales
     from fieldlum.optics.illuminance import illuminance_verdict
 
@@ -344,7 +342,7 @@ def scale(
     warning = scales.check_level(fit, profile, sources)
     points = [
         {"reading": r.label, "meter": r.meter, "picture": r.image * fit.factor, "off_percent": off}
-        for r, off in zip(readings, np.round(100 * fit.residual, 2).tolist(), strict=True)
+        for r, off in zip(readings, (100 * fit.residual).round(2).tolist(), strict=True)
     ]
     # readings of an illuminance meter, which are compared with the picture's illuminance
     planes = [reading for reading in readings if reading.kind != "spot"]

@@ -37,7 +37,7 @@ def _column(text: str) -> tuple[str, str]:
 
     Raises ValueError for another text.
     """
-    from fieldlum.devices.logger_files import QUANTITIES
+    from fieldlum.session.day_files import QUANTITIES
 
     quantity, _, name = text.partition("=")
     if quantity not in QUANTITIES or not name:

@@ -22,14 +22,13 @@ from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import IrradianceSample, counted, require_known_year
 from fieldlum.devices.modbus import MAX_WM2, MIN_WM2
-from fieldlum.session import DAY_COLUMNS, read_day
+from fieldlum.session.day_files import DAY_COLUMNS, read_day
 
 # Coarsest times in a netCDF file: numbers of days or hours in single precision can have steps of
 # seconds. Chosen.
 _MAX_TIME_STEP_S = 1.0
 _MAX_ROWS = 5_000_000  # two months of seconds, in 3 GB of memory
 _NETCDF = b"CDF"  # first bytes of a classic netCDF file (its format's specification)
-QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
 # Usual names of columns of times, of dates, and of times of day, without marks and without a zone.
 _TIME_NAMES = {
     "stamp": "timestamp tmstamp datetime datetimestamp referencetimestamp messdatum datumzeit "

@@ -13,7 +13,7 @@ from fieldlum.plan.capture_days import hours_of, span, sun_band_percent
 from fieldlum.session import Session, sha256, update_session, write_file, write_plan
 from fieldlum.session.folder import PlanTable
 from fieldlum.session.plan_file import read_plan
-from fieldlum.session.slot_states import MAKEUP, makeups_by_slot, read_slot_states
+from fieldlum.session.slot_states import MAKEUP, captured_ids, makeups_by_slot
 from fieldlum.sky import sun
 
 # Declinations that count as equal: half of a day's change at the equinoxes, so that each of the two
@@ -22,15 +22,6 @@ SAME_DECLINATION_DEG = 0.2
 # Largest angle between the suns of a missed and a make-up slot. The equation of time differs by up
 # to half an hour between the two days: 7.5 deg of hour angle. Chosen with a margin.
 MAX_OFF_DEG = 12.0
-
-
-def captured_ids(session: Session) -> set[str]:
-    """Return the ids of the slots with a complete bracket, by the session's journal.
-
-    The set is empty without a journal; damaged lines of it are skipped.
-    """
-    states = read_slot_states(session).slots
-    return {slot for slot, state in states.items() if state.outcome == "done"}
 
 
 def make_up(

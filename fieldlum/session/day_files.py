@@ -14,8 +14,8 @@ from fieldlum.core.records import IrradianceSample, parse_utc, utc_text
 from fieldlum.session.folder import Session
 from fieldlum.session.safe_paths import open_inside, refuse_link
 
-_NUMBERS = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
-DAY_COLUMNS = ("t_utc", *_NUMBERS, "status", "raw", "crc")
+QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
+DAY_COLUMNS = ("t_utc", *QUANTITIES, "status", "raw", "crc")
 _DAY_HEADER = (",".join(DAY_COLUMNS) + "\n").encode()
 
 
@@ -25,7 +25,7 @@ def encode_sample(sample: IrradianceSample) -> bytes:
     Its last column is the CRC-32 of the columns before it. A number that is None or not finite
     becomes an empty cell.
     """
-    numbers = [getattr(sample, name) for name in _NUMBERS]
+    numbers = [getattr(sample, name) for name in QUANTITIES]
     cells = ["" if n is None or not math.isfinite(n) else f"{n:.7g}" for n in numbers]
     texts = (sample.status, sample.raw)
     cells += [text.encode("unicode_escape", "backslashreplace").decode() for text in texts]
@@ -42,7 +42,7 @@ def decode_sample(line: bytes) -> IrradianceSample | None:
         if not line.endswith(b"\n") or len(crc) != 8 or int(crc, 16) != zlib.crc32(body):
             return None
         t_utc, *cells, status, raw = next(csv.reader([body.decode()]))
-        pairs = zip(_NUMBERS, cells, strict=True)
+        pairs = zip(QUANTITIES, cells, strict=True)
         values = {name: float(cell) if cell else None for name, cell in pairs}
         return IrradianceSample(parse_utc(t_utc), **values, status=status, raw=raw)
     except (ValueError, StopIteration):

@@ -76,6 +76,15 @@ def read_slot_states(session: Session) -> SlotStates:
     return apply_events(read_journal(session))
 
 
+def captured_ids(session: Session) -> set[str]:
+    """Return the ids of the slots with a complete bracket, by the session's journal.
+
+    The set is empty without a journal; damaged lines of it are skipped.
+    """
+    states = read_slot_states(session).slots
+    return {slot for slot, state in states.items() if state.outcome == "done"}
+
+
 def _after_event(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
     """Return the state of a slot after one more event of the journal.
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from fieldlum.core.arrays import ArrayLike, Floats, Mask, evenly_spread
 from fieldlum.core.records import Site
-from fieldlum.optics.projection import direction as direction  # callers read sun.direction
-from fieldlum.optics.projection import signed_angle_deg
+from fieldlum.optics.projection import direction, signed_angle_deg  # callers read sun.direction
 
 if TYPE_CHECKING:
     import pandas as pd

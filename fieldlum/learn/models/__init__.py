@@ -24,7 +24,7 @@ from fieldlum.learn.model_kinds import MODELS
 from fieldlum.session import replacing
 from fieldlum.session.codec import NPZ_ERRORS, open_arrays, read_arrays, write_object
 from fieldlum.session.files.model_files import ModelConfig
-from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
+from fieldlum.sky.sky_view.view import SKY_VIEW
 from fieldlum.version import __version__
 
 if TYPE_CHECKING:

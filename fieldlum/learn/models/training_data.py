@@ -35,8 +35,7 @@ from fieldlum.sky.sky_view.estimate_from_captures import Captured, sky_view_of
 from fieldlum.sky.sky_view.measured_discs import NO_DISCS, MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyPicture, cut_panorama
 from fieldlum.sky.sky_view.sky_directions import BEAM_LX
-from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
-from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sky_view.view import SKY_VIEW, SkyView
 from fieldlum.sky.sun_disc import find_disc, without_disc
 
 _SLOT_ID = re.compile(r"\d{8}T\d{6}Z")

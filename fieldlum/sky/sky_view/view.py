@@ -30,7 +30,7 @@ from fieldlum.sky.sky_view.picture import SkyGrid
 from fieldlum.sky.sky_view.pose import CameraPose
 
 FORMAT = 1  # of the file; docs/file-formats.md
-NAME = "sky_view.exr"
+SKY_VIEW = "sky_view.exr"
 _OF_OTHERS = ("state", "days", "captures")  # what is stored of other states and seasons
 CHANNELS = ("openness", "u", "count", "transmittance", "low", "high")
 # A view of a season is used up to this many days before and after its captures. Leaves of

@@ -28,8 +28,7 @@ from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.pose import CameraPose
-from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
-from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sky_view.view import SKY_VIEW, SkyView
 from fieldlum.sky.sky_view.visible_disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.sky.sun_disc import add_source
 from fieldlum.year.glare import metrics

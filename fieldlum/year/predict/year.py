@@ -32,8 +32,7 @@ from fieldlum.session.files.predict_json import (
 from fieldlum.session.files.sidecar import newest_sidecar
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
-from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sky_view.view import SKY_VIEW, SkyView
 from fieldlum.version import __version__
 from fieldlum.weather import SYNTHETIC, Weather, read_weather
 from fieldlum.year.glare import uncertainty_budget as budget
