@@ -27,7 +27,6 @@ from fieldlum.session import (
     Session,
     create_session,
     sha256,
-    store_grace,
     update_session,
 )
 from fieldlum.session.codec import NPZ_ERRORS, open_arrays, read_arrays
@@ -38,6 +37,7 @@ from fieldlum.session.files.model_files import MAX_MAPS, HeldOutMaps, ModelConfi
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import MergeReport, Sidecar
+from fieldlum.session.folder import store_grace
 from fieldlum.session.panorama_sun import SunRow, read_suns, write_suns
 from fieldlum.session.stage_status import stage_status
 

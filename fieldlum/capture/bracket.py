@@ -1,7 +1,5 @@
 """Take one bracket: store each frame as the camera wrote it, check it, and journal it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -41,6 +39,26 @@ class FrameChecks:
 
 
 NO_CHECKS = FrameChecks()
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRequest:
+    """One frame to take.
+
+    index: its number in the bracket, from 0; heading_deg: azimuth of the view, clockwise from true
+    north; None without a turned head.
+    """
+
+    index: int
+    exposure: Exposure
+    heading_deg: float | None
+
+    @property
+    def stem(self) -> str:
+        """File name without suffix: index, shutter time, heading and filter (``03_0.5s_h90``)."""
+        turned = "" if self.heading_deg is None else f"_h{self.heading_deg:g}"
+        nd = f"_{self.exposure.nd}" if self.exposure.nd else ""
+        return f"{self.index:02d}_{self.exposure.shutter_s:.6g}s{turned}{nd}"
 
 
 @dataclass(slots=True)
@@ -343,26 +361,6 @@ def _delete_temporary_files(folder: Path) -> None:
 
 class _Away(DeviceError):
     """The camera is away, and the journal already has the event."""
-
-
-@dataclass(frozen=True, slots=True)
-class FrameRequest:
-    """One frame to take.
-
-    index: its number in the bracket, from 0; heading_deg: azimuth of the view, clockwise from true
-    north; None without a turned head.
-    """
-
-    index: int
-    exposure: Exposure
-    heading_deg: float | None
-
-    @property
-    def stem(self) -> str:
-        """File name without suffix: index, shutter time, heading and filter (``03_0.5s_h90``)."""
-        turned = "" if self.heading_deg is None else f"_h{self.heading_deg:g}"
-        nd = f"_{self.exposure.nd}" if self.exposure.nd else ""
-        return f"{self.index:02d}_{self.exposure.shutter_s:.6g}s{turned}{nd}"
 
 
 def frame_requests(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:

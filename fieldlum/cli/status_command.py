@@ -1,14 +1,8 @@
 """`fieldlum status`: show what a session has done and what is still to do."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from fieldlum.cli import terminal
 from fieldlum.cli.options import OpenSession, command_of
-
-if TYPE_CHECKING:
-    from fieldlum.core.records import JsonTable
+from fieldlum.core.records import JsonTable, counted
 
 
 @command_of("status")
@@ -37,7 +31,6 @@ def command(
 
 def _lines(answer: JsonTable) -> list[str]:
     """Return the lines that the terminal shows of an answer of `status --json`."""
-    from fieldlum.core.records import counted
     from fieldlum.session.journal import damage_text
 
     plan, capture, log = answer["plan"], answer["capture"], answer["irradiance"]

@@ -17,17 +17,14 @@ from fieldlum.core.progress import Progress, shown_by
 FIRST_LINE_S, LINE_EVERY_S = 2.0, 60.0
 
 
-def _plain(value: Any) -> Any:
-    """Return an object that json cannot write as a list, if it is an array, else as text."""
-    return value.tolist() if hasattr(value, "tolist") else str(value)
-
-
 def emit_json(answer: Any) -> None:
     """Print exactly one JSON object on one line of stdout, with null for NaN and infinity.
 
     answer: plain values and arrays, which become lists; other values become text.
     """
-    finite = json.loads(json.dumps(answer, default=_plain), parse_constant=lambda _: None)
+    from fieldlum.session.codec import plain_value
+
+    finite = json.loads(json.dumps(answer, default=plain_value), parse_constant=lambda _: None)
     text = json.dumps(finite, ensure_ascii=False)
     click.echo("".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text))
 

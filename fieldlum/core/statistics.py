@@ -24,11 +24,11 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
     return float(MAD_TO_SIGMA * np.median(np.abs(array - middle)))
 
 
-def cauchy_weights(residual: Floats, half: float) -> Floats:
+def cauchy_weights(residual: Floats, half: Floats | float) -> Floats:
     """Return the weights [...] of residuals [...] in a fit: 1 for 0, near 0 for gross errors.
 
     A weight is 1 / (1 + (residual / half)^2) (Cauchy's, in Holland and Welsch, Commun. Stat. A6,
-    1977). half: the residual, in the same unit, whose weight is a half.
+    1977). half: the residuals, in the same unit, whose weight is a half.
     """
     return 1.0 / (1.0 + (residual / half) ** 2)
 

@@ -22,7 +22,6 @@ from fieldlum.session.folder import (
     create_session,
     open_session,
     sole_user,
-    store_grace,
     update_session,
 )
 from fieldlum.session.journal import Journal, mark_slot, marks, read_journal

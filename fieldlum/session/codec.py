@@ -212,7 +212,7 @@ def check_format(path: Path, version: object, newest: int) -> None:
 
 def to_json(value: object) -> Any:
     """Return a record as the plain values of JSON; arrays and tuples become lists."""
-    return json.loads(json.dumps(msgspec.to_builtins(value, enc_hook=_plain)))
+    return json.loads(json.dumps(msgspec.to_builtins(value, enc_hook=plain_value)))
 
 
 def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
@@ -237,10 +237,10 @@ def write_object(path: Path, table: Mapping[str, object], *, digest: bool = Fals
     seal = sealed(path) if digest else nullcontext()
     # A file name that is not UTF-8 has surrogates; \udcff is also how JSON writes one.
     with seal, replacing(path, "w", encoding="utf-8", errors="backslashreplace") as file:
-        json.dump(table, file, indent=1, ensure_ascii=False, default=_plain)
+        json.dump(table, file, indent=1, ensure_ascii=False, default=plain_value)
 
 
-def _plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
     """Return a value of a type that JSON does not have: an array as lists, others as text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 

@@ -24,7 +24,6 @@ from typing import Any, Self
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch import distributed as dist
 from torch.nn import functional as F
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Ints64
@@ -294,7 +293,7 @@ def world() -> int:
 def sum_over_ranks(tensor: Tensor) -> Tensor:
     """Replace each value of `tensor`, in place, by its sum over all processes; return it."""
     if world() > 1:
-        dist.all_reduce(tensor)
+        torch.distributed.all_reduce(tensor)
     return tensor
 
 
@@ -544,8 +543,8 @@ def fit(
     """
     start_s, start_cpu_s = time.monotonic(), time.process_time()
     device = pick_device()
-    if world() > 1 and not dist.is_initialized():
-        dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+    if world() > 1 and not torch.distributed.is_initialized():
+        torch.distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     torch.manual_seed(seed)
     net = Net(shape).to(device)
     train, validation = validation_split(len(data), seed)

@@ -23,8 +23,8 @@ def draw(folder: Path, data: Dataset, scene: Scene) -> list[Path]:
 
     overlay.png: edges of fitted and stated patches over up to four captures; plan.svg: the fitted
     room from above. The folder is created; existing files are replaced. data: the captures of the
-    fit; scene: its `chosen` must be "fitted", as `fit_scene` returns it.
-    Raises InputError as `with_scene`.
+    fit; scene: its `chosen` must be "fitted", as `fit_scene` returns it. Raises InputError
+    as `with_scene`.
     """
     figure = _overlay(data, scene)
     with replacing_path(folder / "overlay.png") as temporary:

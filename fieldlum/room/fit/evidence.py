@@ -12,6 +12,7 @@ from scipy.ndimage import binary_dilation
 from fieldlum.core.arrays import Floats, Floats32, Indices
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
+from fieldlum.core.statistics import cauchy_weights
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.room.fit.guess import Guess, guess_of
@@ -307,7 +308,9 @@ BRIGHTER, DARKER = 0.12, 0.5
 LEVEL_ROUNDS, LEVEL_DARKER = 12, 0.25
 MIN_CDM2 = 0.1  # chosen: a luminance below that of a room by day
 _RIDGE = 1e-3  # share of the mean diagonal that makes the system solvable; chosen
-_PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light below; chosen
+# Share of a pixel's light at which a sun patch halves the pixel's weight for the light below: the
+# error of a stronger patch is large compared with the rest. Chosen.
+_PATCH_SHARE = 0.3
 
 
 def indirect_component(data: Dataset, seen: Floats, patch: Floats) -> Floats:
@@ -330,7 +333,7 @@ def indirect_component(data: Dataset, seen: Floats, patch: Floats) -> Floats:
     basis = (np.column_stack([basis, np.ones(len(data))]) / size).T.astype(np.float32)  # [k, n]
     products = (basis[:, None] * basis).reshape(-1, len(data))  # [k k, n]
     total_lx = data.light.total_lx[:, None].astype(np.float32)  # [n, 1]
-    trust = _trust(patch, seen)
+    trust = cauchy_weights(patch, _PATCH_SHARE * seen)
     y = np.maximum(seen - patch, 0.02 * seen) / total_lx
     # the upper median of each pixel; sorting along rows is faster
     scale = np.partition(np.ascontiguousarray(y.T), len(y) // 2, axis=1)[:, len(y) // 2]
@@ -351,16 +354,6 @@ def indirect_component(data: Dataset, seen: Floats, patch: Floats) -> Floats:
     return np.maximum(fit * scale * total_lx, MIN_CDM2)
 
 
-def _trust(patch: Floats, seen: Floats) -> Floats:
-    """Return the weight, 0 to 1 [n, m], of captured luminances for the light without direct sun.
-
-    It is low where the sun patch is much of the captured light, because the error of a patch is
-    then large compared with the rest: 0.5 at 30 %. patch, seen: luminance of the patch and
-    captured, cd/m2 [n, m].
-    """
-    return 1.0 / (1.0 + (patch / (_PATCH_SHARE * seen)) ** 2)
-
-
 def levelled(below: Floats, seen: Floats, patch: Floats, directions: Floats) -> Floats:
     """Return the light below patches, corrected for each hour by a smooth factor, [n, m] cd/m2.
 
@@ -373,7 +366,7 @@ def levelled(below: Floats, seen: Floats, patch: Floats, directions: Floats) -> 
     x, y, z = directions.T
     terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x, z * z], axis=1)
     log_ratio = np.log(np.maximum(seen - patch, 0.02 * seen) / below)  # [n, m]
-    trust = _trust(patch, seen)
+    trust = cauchy_weights(patch, _PATCH_SHARE * seen)
     products = np.einsum("mk,ml->mkl", terms, terms).reshape(len(terms), -1)  # [m, 81]
     field = np.zeros_like(log_ratio)
     for number in range(LEVEL_ROUNDS):
