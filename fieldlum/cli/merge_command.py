@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from fieldlum.cli.options import command_of, new_files, picture_height
+from fieldlum.cli.options import OpenSession, command_of, new_files, picture_height
 from fieldlum.cli.terminal import notes, print_answer, progress, say, table_lines
 from fieldlum.core.errors import InputError
 
 if TYPE_CHECKING:
     from fieldlum.merge import MergeResult
-    from fieldlum.session import Session
 
 
 @command_of("merge")
@@ -90,7 +89,7 @@ def command(
         raise SystemExit(InputError.exit_code)
 
 
-def _present_size(session: Session) -> str | None:
+def _present_size(session: OpenSession) -> str | None:
     """Return the size of the session's panoramas as --size states it, None without any.
 
     Brackets that are merged later get the same size.

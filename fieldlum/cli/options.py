@@ -15,7 +15,6 @@ from fieldlum.core.errors import DeviceError, InputError
 
 if TYPE_CHECKING:
     from fieldlum.core.scheduler import Scheduler
-    from fieldlum.session import Session
     from fieldlum.session import Session as OpenSession
 else:
     OpenSession = Any  # the argument SESSION: the session of the folder that the user names
@@ -41,7 +40,7 @@ def calendar_day(text: str) -> datetime:
 DEVICES = ("camera", "pyranometer", "meter")
 
 
-def _open_session(text: str) -> Session:
+def _open_session(text: str) -> OpenSession:
     """Return the session in the folder that SESSION names."""
     from fieldlum.session import open_session
 
@@ -116,7 +115,7 @@ def command_of(
     return decorate
 
 
-def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
+def device_uris(session: OpenSession, *given: str | None) -> tuple[str, ...]:
     """Return the URIs of camera, pyranometer and meter, in this order; "" without a device.
 
     given: the values of the three options; None takes the URI of the session's last capture. A
