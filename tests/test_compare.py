@@ -13,9 +13,10 @@ from places import SEATTLE
 
 from fieldlum.cli import main
 from fieldlum.core.arrays import Floats
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import Caution, InputError
 from fieldlum.core.records import (
     CameraSetup,
+    Flag,
     Obstruction,
     Panorama,
     Room,
@@ -38,6 +39,7 @@ from fieldlum.report.compare import (
     surface_rows,
     surface_sentences,
 )
+from fieldlum.report.export_and_pack import export
 from fieldlum.room import simulate
 from fieldlum.room.scene.radiance import octree
 from fieldlum.session import Session, create_session
@@ -186,6 +188,28 @@ def test_export_writes_what_other_programs_read(
     assert json.loads((tmp_path / "room.hbjson").read_text())["type"] == "Model"
     with octree((tmp_path / "room.rad").read_text()) as compiled:
         assert compiled.stat().st_size > 1000
+
+
+@pytest.mark.contract
+def test_export_names_views_that_no_lens_saw(tmp_path: Path) -> None:
+    """Half of the directions were seen, around the south; west is seen by half."""
+    session = create_session(tmp_path / "office", SETUP, [], {})
+    session.panoramas.mkdir()
+    azimuth_deg = np.arange(1.5, 360.0, 3.0)  # the picture's centre is in the south
+    unseen = np.where(np.abs(azimuth_deg - 180.0) > 90.0, np.uint16(Flag.OUTSIDE_LENS), 0)
+    flags = np.broadcast_to(unseen.astype(np.uint16), (60, 120))
+    panorama = Panorama(np.full((60, 120), 900.0, np.float32), 180.0, flags=flags)
+    write_panorama(session.panoramas / "20270320T193000Z.exr", panorama)
+    with pytest.warns(Caution, match="no maps to 0 degrees: the lens saw less"):
+        files = export(session, tmp_path / "out", (0.0, 180.0, 240.0))
+    maps = sorted(file.name[17:] for file in files if file.suffix == ".hdr")
+    assert maps == ["180.hdr", "240.hdr"]
+    for azimuth_deg, words in ((180, "seen"), (240, "partly seen")):
+        path = tmp_path / "out" / "maps" / f"20270320T193000Z-{azimuth_deg}.hdr"
+        (view,) = picture_glare(path)["views"]
+        (own,) = panorama_glare(panorama, [azimuth_deg])["views"]
+        assert view["seen"] == own["seen"] == words
+        assert view["seen_share"] == pytest.approx(own["seen_share"], abs=0.02)
 
 
 @pytest.mark.analytic

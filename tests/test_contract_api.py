@@ -7,7 +7,9 @@ import pkgutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, date, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +49,7 @@ NAMES = (
 )
 FUNCTIONS = [name for name in NAMES if name[0].islower()]
 OFFICE = ROOT / "capture_plans" / "seattle-office.toml"
+GREY = fieldlum.Panorama(np.ones((4, 8)), 180.0)
 
 
 @pytest.mark.contract
@@ -221,10 +224,29 @@ def test_coordinates_ascend_so_that_plots_work_with_every_heading(heading_deg: f
         (lambda: fieldlum.light_at("2027-01-01T12:00", OFFICE, 1.0, 1.0), "time zone"),
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, "x", 1.0), "dni_wm2"),
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, [1.0, 2.0], 1.0), "dni_wm2"),
-        (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, -1.0, 1.0), "0 W/m2 or more"),
+        (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, -1.0, 1.0), "0 to 1600 W/m2"),
+        (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, 8e4, 1.0), "0 to 1600 W/m2"),
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", 3, 1.0, 1.0), "a value of type int"),
         (lambda: fieldlum.evaluate_glare("a.exr", ["north"]), "view_azimuths_deg"),
         (lambda: fieldlum.evaluate_glare("a.exr", 180.0), "view_azimuths_deg"),
+        (lambda: fieldlum.evaluate_glare("a.exr", "180"), "the text '180'"),
+        (lambda: fieldlum.evaluate_glare("a.exr", [np.nan]), "not finite"),
+        *(
+            (partial(fieldlum.evaluate_glare, replace(GREY, **wrong)), named)
+            for wrong, named in (
+                ({"luminance_cdm2": [["a"]]}, "could not convert"),
+                ({"luminance_cdm2": np.ones((2, 4, 3))}, r"shape \(2, 4, 3\)"),
+                ({"luminance_cdm2": np.empty((0, 0))}, "shape"),
+                ({"luminance_cdm2": np.ma.masked_less(np.eye(4, 8), 1.0)}, "missing .NaN."),
+                ({"heading_deg": np.nan}, "heading_deg"),
+                ({"heading_deg": None}, "NoneType"),
+                ({"flags": np.zeros((2, 4), np.uint16)}, "flags of shape"),
+                ({"flags": np.zeros((4, 8))}, "flags that are no integers"),
+                ({"t_utc": datetime(2027, 1, 1, tzinfo=UTC).replace(tzinfo=None)}, "time zone"),
+                ({"sun": fieldlum.SunSource(95.0, 0.0, 1e4)}, "impossible sun"),
+                ({"sun": fieldlum.SunSource(30.0, 0.0, -1e4)}, "impossible sun"),
+            )
+        ),
         (lambda: fieldlum.plan_captures(OFFICE, "9day"), "'9day'; expected one of 9-day"),
         (lambda: fieldlum.plan_captures(OFFICE, "month", start="2027-03-20"), "start"),
         (lambda: fieldlum.plan_captures(3), "a value of type int"),

@@ -36,8 +36,22 @@ def test_toa5_and_csv_tell_the_same_moment(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("zone", "offset_min"),
+    [("-08:00", -480), ("-0800", -480), ("+0530", 330), ("+530", 330), ("-8", -480), ("+10", 600)],
+)
+def test_the_zone_of_a_column_is_in_hours_and_minutes(
+    tmp_path: Path, zone: str, offset_min: int
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"time UTC{zone},ghi_wm2\n2027-06-20 12:00,800\n")
+    noon = datetime(2027, 6, 20, 12, tzinfo=UTC)
+    assert read_logger_file(path).samples[0].t_utc == noon - timedelta(minutes=offset_min)
+
+
+@pytest.mark.parametrize(
     ("text", "said"),
     [
+        ("time UTC+1500,ghi_wm2\n2027-06-20 12:00,1\n", "the time zone .1500 in time UTC.1500"),
         (TOA5, "times without a time zone"),
         (CSV.replace("Z", "").replace("t_utc", "time"), "times without a time zone"),
         ("t_utc,volts\n1,2\n", "columns t_utc, volts"),

@@ -13,11 +13,14 @@ from hypothesis import strategies as st
 from radiance_header import add_lines
 
 from fieldlum.core.errors import InputError
+from fieldlum.core.records import Flag, Panorama
 from fieldlum.optics.images import (
+    RADIANCE_LM_PER_W,
     RADIANCE_Y,
     encode_rgbe,
     radiance_program,
     read_radiance_hdr,
+    write_picture,
     write_radiance_hdr,
 )
 
@@ -231,3 +234,29 @@ def test_what_cannot_be_read_is_refused_in_one_line(
     with pytest.raises(InputError, match=stated) as refused:
         read_radiance_hdr(path)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.authority
+def test_pixels_that_no_lens_saw_stay_unseen_and_pvalue_reads_the_others(tmp_path: Path) -> None:
+    """The colour keeps its hue, and gets the luminance of the map, which was scaled to a meter."""
+    light = np.geomspace(1.0, 1e4, 8 * 16).reshape(8, 16)
+    light[0, 0], light[7, 0] = 0.0, np.nan
+    rgb = np.array([0.5, 1.0, 2.0]) * light[..., None] / RADIANCE_LM_PER_W
+    rgb[3, 3] = 0.0
+    flags = np.zeros((8, 16), np.uint16)
+    flags[:, 8:] = Flag.OUTSIDE_LENS
+    path = tmp_path / "a.hdr"
+    write_picture(path, Panorama(2.0 * light, 90.0, flags=flags, rgb=rgb))
+    picture, _ = read_radiance_hdr(path)
+    seen = flags == 0
+    seen[7, 0] = False
+    assert (picture.seen == seen).all()
+    np.testing.assert_allclose(picture.luminance_cdm2[seen], 2.0 * light[seen], 0.008, 1e-8)
+    assert picture.rgb is not None and (picture.rgb[~seen] == 0.0).all()
+    hue = picture.rgb[4, 4] / picture.rgb[4, 4, 0]
+    np.testing.assert_allclose(hue, [1.0, 2.0, 4.0], rtol=0.02)
+    values = np.loadtxt(_radiance("pvalue", "-h", "-H", "-d", "-b", str(path)).splitlines())
+    of_other = RADIANCE_LM_PER_W * values.reshape(8, 16)
+    np.testing.assert_allclose(of_other[seen], picture.luminance_cdm2[seen], 0.01, 1e-8)
+    write_picture(path, Panorama(light[:7], 90.0))
+    assert read_radiance_hdr(path)[0].flags is None, "black is black where all was seen"

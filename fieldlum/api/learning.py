@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from fieldlum.api.measurement import path_of, place
 from fieldlum.core.errors import InputError, input_errors, require_name
 from fieldlum.core.records import Site, SiteFile, parse_utc
+from fieldlum.core.strict_csv import IRRADIANCE_LIMITS_WM2
 from fieldlum.session import Session
 from fieldlum.sky import daylight
 from fieldlum.sky.daylight import Light
@@ -315,9 +316,10 @@ def light_at(
         remedy = "pass one value for each time"
         with input_errors(name, "numbers in W/m2", remedy, TypeError, ValueError):
             numbers = np.broadcast_to(np.asarray(given, float), len(times))
-        if not (np.isfinite(numbers).all() and (numbers >= 0).all()):
+        highest = IRRADIANCE_LIMITS_WM2[1]
+        if not (np.isfinite(numbers).all() and ((numbers >= 0) & (numbers <= highest)).all()):
             found = f"values {numbers.min():g} to {numbers.max():g}"
-            raise InputError(name, found, "0 W/m2 or more", "correct it")
+            raise InputError(name, found, f"0 to {highest:g} W/m2", "correct it")
         values.append(numbers)
     return daylight.light_at(times, place(site), *values)
 

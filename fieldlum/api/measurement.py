@@ -3,8 +3,11 @@
 # Signatures in help() show the names of types.
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, date, datetime
 from pathlib import Path
+
+import numpy as np
 
 from fieldlum import merge, plan, session, weather
 from fieldlum.core.errors import InputError, input_errors
@@ -160,12 +163,44 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
     >>> grey = fieldlum.Panorama(np.full((115, 230), 500.0, np.float32), heading_deg=180.0)
     >>> fieldlum.write_panorama("grey.hdr", grey)
     """
-    path = path_of(file)
+    images.write_picture(path_of(file), _checked(panorama))
+
+
+def _checked(panorama: object) -> Panorama:
+    """Return a panorama with arrays of floats, in which masked values are NaN.
+
+    Raises InputError for another object, for arrays of other shapes, and for a heading, a time or a
+    sun that cannot be.
+    """
+    what = "panorama"
     if not isinstance(panorama, Panorama):
         found = f"a value of type {type(panorama).__name__}"
-        raise InputError(path, found, "a Panorama", "pass fieldlum.Panorama(map, heading_deg)")
-    images.require_panorama(panorama, path)
-    images.write_picture(path, panorama)
+        raise InputError(what, found, "a Panorama", "pass fieldlum.Panorama(map, heading_deg)")
+    sun, flags, t_utc = panorama.sun, panorama.flags, panorama.t_utc
+    expected, remedy = "what help(fieldlum.Panorama) describes", "correct the value"
+    with input_errors(what, expected, remedy, TypeError, ValueError):
+        light = np.ma.filled(np.ma.asarray(panorama.luminance_cdm2, dtype=float), np.nan)
+        if light.ndim != 2 or not light.size:
+            raise ValueError(f"luminance_cdm2 of shape {light.shape}")
+        for name in ("u_cdm2", "flags", "rgb"):
+            values = getattr(panorama, name)
+            if values is not None and np.shape(values)[:2] != light.shape:
+                raise ValueError(f"{name} of shape {np.shape(values)}")
+        if flags is not None and np.asarray(flags).dtype.kind not in "iu":
+            raise ValueError("flags that are no integers")
+        if not np.isfinite(heading_deg := float(panorama.heading_deg)):
+            raise ValueError("a heading_deg that is not finite")
+        if t_utc is not None and t_utc.utcoffset() is None:
+            raise ValueError("a t_utc without a time zone")
+        if sun is not None and not (
+            abs(sun.altitude_deg) <= 90.0
+            and np.isfinite(sun.azimuth_deg)
+            and 0.0 <= sun.normal_illuminance_lx < np.inf
+        ):
+            raise ValueError(f"an impossible sun, {sun}")
+    panorama = replace(panorama, luminance_cdm2=light, heading_deg=heading_deg)
+    images.require_panorama(panorama, what)
+    return panorama
 
 
 def read_weather(
@@ -364,7 +399,11 @@ def evaluate_glare(
     """
     expected, remedy = "azimuths in degrees, such as [180.0]", "pass numbers"
     with input_errors("view_azimuths_deg", expected, remedy, TypeError, ValueError):
+        if isinstance(view_azimuths_deg, str):
+            raise ValueError(f"the text {view_azimuths_deg!r}")
         azimuths = [float(azimuth) for azimuth in view_azimuths_deg]
+        if not np.isfinite(azimuths).all():
+            raise ValueError("an azimuth that is not finite")
     if isinstance(picture, Panorama):
-        return panorama_glare(picture, azimuths)
+        return panorama_glare(_checked(picture), azimuths)
     return picture_glare(path_of(picture, "picture"), azimuths)

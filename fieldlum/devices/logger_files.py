@@ -38,6 +38,7 @@ _TIME_NAMES = {
 }
 # End of a time column's name that states its zone; group 1: the offset, such as +01:00.
 _ZONE_IN_NAME = re.compile(r"[,_(\[]*(?:utc|gmt)([+-]\d\d?(?::?\d\d)?)?[)\]]?$")
+_MAX_OFFSET = timedelta(hours=14)  # of the islands of Kiribati, the largest in use
 _OFFSET_COLUMN = re.compile(r"((utc|gmt)_?)?offset|tz|(time_?)?zone")
 # Groups: day or month, mark, the other of the two, year, time of day.
 _DAY_OR_MONTH_FIRST = re.compile(r"(\d{1,2})([/.-])(\d{1,2})\2(\d{4}|\d\d)[ T]+(.+)")
@@ -607,8 +608,12 @@ class _TimeColumns:
         self._offset_column = next(offsets, None)
         self._unread_offset = self._read_offset = ""  # names of columns, for notes
         if stated := next((zone[1] for k in self._columns if (zone := zones[k]) and zone[1]), ""):
-            hour, _, minute = stated[1:].partition(":")
-            offset = timedelta(hours=int(hour), minutes=int(minute or 0))
+            digits = stated[1:].replace(":", "")
+            hour, minute = (digits, "0") if len(digits) < 3 else (digits[:-2], digits[-2:])
+            offset = timedelta(hours=int(hour), minutes=int(minute))
+            if offset > _MAX_OFFSET or int(minute) > 59:
+                found, remedy = f"the time zone {stated} in {self._name}", "correct the header"
+                raise InputError(path, found, "at most 14 hours from UTC", remedy)
             self._utc_offset = -offset if stated[0] == "-" else offset
             self._read_offset = self._name
         self._date_groups = self._date_order(table)

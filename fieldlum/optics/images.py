@@ -26,7 +26,7 @@ from typing import Any, BinaryIO, cast
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32, UInts8
+from fieldlum.core.arrays import Floats, Floats32, Mask, UInts8
 from fieldlum.core.errors import InputError, input_errors, kind_of, library_messages
 from fieldlum.core.files import open_to_read, replacing_path
 from fieldlum.core.records import MAX_PIXELS, Flag, Panorama, SunSource, parse_utc, utc_text
@@ -42,6 +42,9 @@ RADIANCE_Y = (0.265, 0.670, 0.065)
 # Its primaries, red, green, blue and white, as CIE xy (src/common/color.h).
 RADIANCE_CHROMATICITIES = (0.640, 0.330, 0.290, 0.600, 0.150, 0.060, 1.0 / 3.0, 1.0 / 3.0)
 PANORAMA_LINE = "FIELDLUM_VIEW= equirect heading_deg="
+# Header line of a Radiance picture in which pixels of 0 are those that no lens saw; others have at
+# least this luminance, a millionth of that of a night sky.
+_UNSEEN_LINE, _DARKEST_CDM2 = "FIELDLUM_UNSEEN= 0", 1e-9
 _RESOLUTION = re.compile(rb"\s*([+-])([XY])\s+(\d+)\s+([+-])([XY])\s+(\d+)\s*")
 _RGBE, _XYZE = "32-bit_rle_rgbe", "32-bit_rle_xyze"
 # Values a byte of the file in large pictures (128 MB as .exr, 512 MB as .hdr when decoded).
@@ -68,7 +71,7 @@ class RadianceHeader:
     white, [8]. xyze: whether the pixels are XYZ instead of RGB. views: the picture's own VIEW lines
     in order; inherited_views: those of its input pictures. heading_deg: azimuth of a panorama's
     centre, clockwise from north, None if the file states none. pixel_aspect: height over width of a
-    pixel.
+    pixel. black_is_unseen: whether pixels of 0 are those that no lens saw.
     """
 
     axes: tuple[str, str]
@@ -80,6 +83,7 @@ class RadianceHeader:
     inherited_views: tuple[str, ...]
     heading_deg: float | None
     pixel_aspect: float
+    black_is_unseen: bool = False
 
     @property
     def view(self) -> str:
@@ -167,7 +171,9 @@ def read_radiance_hdr(path: Path) -> tuple[Panorama, RadianceHeader]:
         to_rgb = np.linalg.inv(rgb_to_xyz(RADIANCE_CHROMATICITIES)) / RADIANCE_LM_PER_W  # [3, 3]
         rgb = rgb @ to_rgb.T.astype(np.float32)
     heading_deg = 180.0 if header.heading_deg is None else header.heading_deg
-    return Panorama(luminance, heading_deg, rgb=rgb), header
+    unseen = Flag.OUTSIDE_LENS * (rgb == 0.0).all(axis=-1).astype(np.uint16)
+    flags = unseen if header.black_is_unseen else None
+    return Panorama(luminance, heading_deg, flags=flags, rgb=rgb), header
 
 
 def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
@@ -230,6 +236,7 @@ def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
         inherited_views=_views([line.lstrip("\t ") for line in lines if line[:1] in "\t "]),
         heading_deg=_heading(marks[-1], path) if marks else None,
         pixel_aspect=float(_product(lines, "PIXASPECT=", 1, path)[0]),
+        black_is_unseen=_UNSEEN_LINE in lines,
     )
 
 
@@ -329,12 +336,18 @@ def encode_rgbe(rgb: Floats) -> UInts8:
 
 
 def write_radiance_hdr(
-    path: Path, pixels: Floats, *, view: str = "", heading_deg: float | None = None
+    path: Path,
+    pixels: Floats,
+    *,
+    view: str = "",
+    heading_deg: float | None = None,
+    seen: Mask | None = None,
 ) -> None:
     """Write cd/m2 [H, W] or radiance RGB [H, W, 3] in W/sr/m2 as a Radiance picture (flat RGBE).
 
     view: view options of Radiance, such as "-vta -vh 180 -vv 180"; a panorama has heading_deg
-    instead, the azimuth of its centre, clockwise from north. Raises OSError if the file cannot
+    instead, the azimuth of its centre, clockwise from north. seen [H, W]: pixels that a lens saw,
+    all if None; others are 0, which a line of the header states. Raises OSError if the file cannot
     be written.
     """
     values = np.asarray(pixels)
@@ -347,6 +360,10 @@ def write_radiance_hdr(
     lines += ["EXPOSURE=1", f"FORMAT={_RGBE}", "", f"-Y {height} +X {width}", ""]
     if values.ndim == 2:
         values = np.repeat(values[..., None] / RADIANCE_LM_PER_W, 3, axis=-1)
+    if seen is not None and not seen.all():
+        lines.insert(1, _UNSEEN_LINE)
+        dark = values.max(axis=-1, keepdims=True) < _DARKEST_CDM2 / RADIANCE_LM_PER_W
+        values = np.where(dark, _DARKEST_CDM2 / RADIANCE_LM_PER_W, values) * seen[..., None]
     path.write_bytes("\n".join(lines).encode() + encode_rgbe(values).tobytes())
 
 
@@ -372,8 +389,9 @@ PICTURE_SUFFIXES = (".exr", ".hdr")
 def write_picture(path: Path, panorama: Panorama, view: str = "") -> None:
     """Write an .exr, or a Radiance .hdr of luminance or colour only, complete or not at all.
 
-    view: Radiance's view options, for a picture that is not a panorama. Raises InputError for
-    another suffix, OSError if the file cannot be written.
+    view: Radiance's view options, for a picture that is not a panorama. A .hdr has the colour of
+    `rgb` with the luminance of `luminance_cdm2`, of which NaN counts as not seen. Raises InputError
+    for another suffix, OSError if the file cannot be written.
     """
     suffix = path.suffix.lower()
     if suffix not in PICTURE_SUFFIXES:
@@ -382,9 +400,15 @@ def write_picture(path: Path, panorama: Panorama, view: str = "") -> None:
         if suffix == ".exr":
             write_panorama(temporary, panorama, view=view or "equirect")
         else:
-            pixels = panorama.luminance_cdm2 if panorama.rgb is None else panorama.rgb
+            light, rgb = panorama.luminance_cdm2, panorama.rgb
+            seen = panorama.seen & ~np.isnan(light)
+            if rgb is not None:
+                of_rgb = RADIANCE_LM_PER_W * (rgb @ np.asarray(RADIANCE_Y))
+                grey = np.repeat(light[..., None] / RADIANCE_LM_PER_W, 3, axis=-1)
+                factor = (light / np.where(of_rgb > 0.0, of_rgb, 1.0))[..., None]
+                light = np.where(of_rgb[..., None] > 0.0, rgb * factor, grey)
             heading = None if view else panorama.heading_deg
-            write_radiance_hdr(temporary, pixels, view=view, heading_deg=heading)
+            write_radiance_hdr(temporary, light, view=view, heading_deg=heading, seen=seen)
 
 
 def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") -> None:

@@ -8,6 +8,7 @@ session's files, DATASHEET.md (Gebru et al., Commun. ACM 64, 2021, in short), da
 import hashlib
 import json
 import re
+import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import date
@@ -18,14 +19,14 @@ import numpy as np
 import tomli_w
 import xarray as xr
 
-from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.errors import Caution, InputError, NotEnoughDataError
 from fieldlum.core.false_colour import png_of
 from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Flag, Room, counted, listed
 from fieldlum.core.strict_toml import read_toml
 from fieldlum.optics.images import read_panorama, write_radiance_hdr
-from fieldlum.optics.projection import direction
+from fieldlum.optics.projection import NOT_SEEN, direction, seen_shares, seen_words
 from fieldlum.optics.raw import RAW_SUFFIXES
 from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.room.fit.scene_file import SCENE_TOML, read_scene
@@ -67,6 +68,7 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
         raise NotEnoughDataError(f"{session.root}: no merged map and no year; run fieldlum merge")
     (out / "maps").mkdir(parents=True, exist_ok=True)
     views_deg = azimuths_deg or (session.site_file().camera.heading_deg,)
+    not_written: set[float] = set()
     files = [*_sky(session, out), *_room(session, out, views_deg), *_pairs(session, out)]
     if (annual := newest_annual(session)) is not None:
         files.append(_netcdf(annual.to_xarray(), out / "year.nc"))
@@ -77,12 +79,21 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
         asked_deg = azimuths_deg or (panorama.heading_deg,)
         for azimuth_deg in dict.fromkeys(round(a % 360.0, 1) % 360.0 for a in asked_deg):
             turn_deg = (panorama.heading_deg, azimuth_deg)  # from the map's heading to the view
+            shares = seen_shares(panorama.seen, panorama.heading_deg, [azimuth_deg])
+            if NOT_SEEN in seen_words(shares):
+                not_written.add(azimuth_deg)
+                continue
             picture = panorama_to_fisheye(light, *turn_deg, size=_FISHEYE_PX, sun=panorama.sun)
+            unseen = panorama_to_fisheye(1.0 * ~panorama.seen, *turn_deg, size=_FISHEYE_PX)
             forward = " ".join(f"{value:.6f}" for value in direction(0.0, azimuth_deg))
             view = f"{FISHEYE_VIEW} -vp 0 0 0 -vd {forward} -vu 0 0 1"
             files.append(out / "maps" / f"{path.stem}-{azimuth_deg:g}.hdr")
             with replacing_path(files[-1]) as temporary:
-                write_radiance_hdr(temporary, picture, view=view)
+                write_radiance_hdr(temporary, picture, view=view, seen=unseen < 0.5)
+    if not_written:
+        listed_deg = listed([f"{azimuth_deg:g}" for azimuth_deg in sorted(not_written)])
+        text = f"no maps to {listed_deg} degrees: the lens saw less than half of these views"
+        warnings.warn(text, Caution, stacklevel=2)
     return files
 
 
