@@ -30,9 +30,12 @@ from fieldlum.optics.projection import (
 )
 from fieldlum.optics.turn_fit import Contrasts, fit_turn
 
-# Smoothing [px], coarse to fine. The first value corrects turns of five pixels; the last is as wide
-# as an edge in a rendering. Measured; no command repeats it.
+# Smoothing [px], coarse to fine; the last is as wide as an edge in a rendering. Measured; no
+# command repeats it. In each a capture has at most so many steps, until one is smaller than this
+# share of it: single steps stop short of turns of five pixels, five find nine (six rooms of another
+# renderer, captures of half a day).
 _SMOOTH_PX = (3.0, 1.0, 0.7)
+_MAX_STEPS, _SMALL_STEP = 5, 0.1
 _TILES = (6, 12)  # rows and columns of independent parts of the picture; not measured
 # Standard uncertainty of heading, tilt and roll, because light from another direction moves edges:
 # in clean captures of the office and of eight simulated rooms, 95 % of the turns are at most 3, 5
@@ -51,7 +54,8 @@ MOVE_COST = 4.8
 # of the picture; with a low sun, whose patches have other edges, a capture with less can still be
 # used. Of nine consecutive captures with a lower median than the second, those under the third are
 # of a moved camera: in 22 rooms of other renderers clean medians are 0.58 or more, and 0.15 to 0.67
-# after a turn of 37 degrees, when no capture has more than 0.71.
+# after a turn of 37 degrees, when no capture has more than 0.71. A turn of a single capture needs
+# the last too, since a search that ends at a wrong place gives each capture another turn.
 MIN_CORRELATION, _MIN_OF_NINE, _NOT_MOVED = 0.35, 0.5, 0.75
 # A sun below this is low [deg]: clean captures with less than the first correlation have 3.6 to
 # 11.3 in those rooms.
@@ -287,13 +291,13 @@ def camera_turns(
     """
     count, height = luminance_cdm2.shape[:2]
     angles, u_deg = np.zeros((count, 3)), np.zeros((count, 3))
-    correlation, elsewhere = np.zeros(count), np.zeros(count)
+    correlation, elsewhere, settled = np.zeros(count), np.zeros(count), np.zeros(count, bool)
     # Fewer captures have no clear majority; in smaller pictures an edge is as wide as a wall.
     if count < 5 or height < 40 or not seen_mask.any():
         return CameraTurns(angles, u_deg, np.ones(count, bool))
     logs, seen_mask = _smaller(luminance_cdm2, seen_mask)
     # The median of at most 200 captures shows the room's edges, which limits the memory.
-    sample = evenly_spread(count, 200)
+    sample, pixel_deg = evenly_spread(count, 200), 180.0 / seen_mask.shape[0]
     for k, smooth_px in enumerate(_SMOOTH_PX):
         progress(k, len(_SMOOTH_PX), "comparing the camera's poses")
         stored = {int(i): _edges_of(logs[i], heading_deg, angles[i], smooth_px) for i in sample}
@@ -303,20 +307,24 @@ def camera_turns(
             edges = stored.get(i)
             if edges is None:
                 edges = _edges_of(logs[i], heading_deg, angles[i], smooth_px)
+            for _ in range(_MAX_STEPS):
+                step, u_deg[i], correlation[i] = room.turn(edges)
+                angles[i] += step
+                settled[i] = np.abs(step).max() < _SMALL_STEP * smooth_px * pixel_deg
+                if settled[i]:
+                    break
+                edges = _edges_of(logs[i], heading_deg, angles[i], smooth_px)
             if k == len(_SMOOTH_PX) - 1:
                 elsewhere[i] = room.elsewhere(edges)
-            turn, u_deg[i], correlation[i] = room.turn(edges)
-            angles[i] += turn
         angles -= np.median(angles, axis=0)
-    pixel_deg = 180.0 / seen_mask.shape[0]
     u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
     of_nine = ndimage.median_filter(correlation, 9, mode="mirror")
     moved = (of_nine < _MIN_OF_NINE) & (correlation < _NOT_MOVED) | (elsewhere > _MIN_ELSEWHERE)
     # The search does not converge to larger turns.
     near = np.abs(angles).max(axis=1) < 10.0 * pixel_deg
-    found = near & ~moved & (correlation >= MIN_CORRELATION)
+    found = near & settled & ~moved & (correlation >= MIN_CORRELATION)
     low_sun = ~found & ~moved & (np.asarray(sun_deg) < LOW_SUN_DEG)
-    poses, aligned = _poses(angles, found, low_sun, pixel_deg)
+    poses, aligned = _poses(angles, found, low_sun, pixel_deg, correlation > _NOT_MOVED)
     return CameraTurns(poses, u_deg, aligned)
 
 
@@ -324,15 +332,18 @@ def camera_turns(
 # poses
 
 
-def _poses(angles: Array, reliable: Mask, low_sun: Mask, pixel_deg: float) -> tuple[Array, Mask]:
+def _poses(
+    angles: Array, reliable: Mask, low_sun: Mask, pixel_deg: float, sure: Mask
+) -> tuple[Array, Mask]:
     """Return one turn for all captures of a pose, [n, 3] deg, and the captures that have one [n].
 
     The turn is zero if it is uncertain. angles: the estimated turn of each capture in the order of
     time [n, 3] deg; reliable: whether it can be used [n]; low_sun: other captures, which have the
-    pose of the reliable ones before and after them, if these agree [n]; pixel_deg: size of a pixel.
+    pose of the reliable ones before and after them, if these agree [n]; pixel_deg: size of a pixel;
+    sure: captures that have a turn of their own, even if none beside them has it [n].
     A camera does not turn until it is moved, so that consecutive captures have one pose.
     """
-    out = np.zeros_like(angles)
+    out, used = np.zeros_like(angles), reliable.copy()
     rows = np.flatnonzero(reliable)
     if not len(rows):
         return out, reliable
@@ -348,10 +359,11 @@ def _poses(angles: Array, reliable: Mask, low_sun: Mask, pixel_deg: float) -> tu
         minimum = np.sqrt(2.0 * MOVE_COST) if count < 5 else 1.0 + 1.0 / np.sqrt(count)
         if size.max() >= minimum:
             out[rows[start:stop]] = np.where(size < 1.0, 0.0, pose)
+            used[rows[start:stop]] = count > 1 or sure[rows[start]]
     earlier = np.searchsorted(rows, np.arange(len(out)))  # number of reliable captures
     before, after = (out[rows[np.clip(earlier - k, 0, len(rows) - 1)]] for k in (1, 0))
     same = low_sun & (before == after).all(axis=1)
-    return np.where(same[:, None], after, out), reliable | same
+    return np.where(same[:, None], after, out), used | same
 
 
 def _pieces(values: Array) -> list[tuple[int, int]]:
