@@ -252,6 +252,9 @@ def test_a_table_of_hours_is_compared_with_the_predicted_year(tmp_path: Path) ->
     assert view["hours"] == 200 and view["azimuth_deg"] == 180.0
     assert view["model"] - view["measured"] == pytest.approx(0.02, abs=1e-3)
     assert view["model_over"] > view["over"]
+    near = compare(session, table, tmp_path / "out", [184.5], year)
+    assert "View 184.5 deg compares with 180 deg." in near.text
+    assert not any("compares with" in text for text in result.text)
 
 
 @pytest.mark.contract

@@ -623,7 +623,9 @@ def _compare_hours(
             expected = f"one of the views {', '.join(f'{a:g}' for a in annual.azimuths_deg)}"
             remedy = "predict that view: fieldlum predict --views 36"
             raise InputError(path, f"a view to {azimuth_deg:.0f} deg", expected, remedy)
-        of_year = annual.views[figure][:, int(np.argmin(off_deg))]
+        if off_deg[k := int(np.argmin(off_deg))] > 0.05:
+            notes.append(f"View {azimuth_deg:g} deg compares with {annual.azimuths_deg[k]:g} deg.")
+        of_year = annual.views[figure][:, k]
         by_hour = np.where(row_of_hour < 0, np.nan, of_year[row_of_hour])  # [8760]
         measured, modelled = by_hour[hours], columns[figure, azimuth_deg].to_numpy(float)
         notes += () if shared else _other_clock(by_hour, hours, modelled)
