@@ -340,6 +340,19 @@ def test_the_headline_advises_only_what_the_captures_and_the_weather_support(
 
 
 @pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("days", "period"), [(0, "the year"), (367, "the year"), (730, "730 days"), (6, "6 days")]
+)
+def test_hours_of_several_years_are_not_those_of_the_year(days: int, period: str) -> None:
+    row = DirectionYear(0.0, "high", True, dgp_exceeded=0.3, hours_over={"0.40": 9})
+    summary = PredictFile(days=days, occupancy=YearOccupancy(hours=7300), protection=(row,))
+    year = predict.Annual((), np.zeros(1), {}, {}, Path("x"), summary)
+    assert (
+        f"comes in 9 of 7300 occupied hours of {period}; f" in annual_page.best_direction(year)[1]
+    )
+
+
+@pytest.mark.analytic
 def test_the_camera_s_scale_is_in_the_shares_of_glare_hours() -> None:
     """DGP of 0.42 with an Ev of 4000 lx: 20 % less light (1.96 of 10 %) is a DGP below 0.38."""
     hours: dict[str, Floats] = {"occupied": np.ones(10), "trusted": np.ones(10)}

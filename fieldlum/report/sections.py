@@ -51,14 +51,16 @@ def best_direction(annual: Annual) -> tuple[str, str]:
     advice = f"facing {direction_name(best.azimuth_deg)}: {_class_words(best)}."
     is_open = best.low is None or best.seen == PARTLY_SEEN
     doubtful = best.glare_class == "none" or (is_open and not best.certain)
+    # 0 days: unknown, in a year of 0.1.0; other limits as for `are_full_years`
+    period = "the year" if 360 <= ((days := annual.summary.days) or 365) < 372 else f"{days} days"
     lead = "Least glare" if doubtful or annual.summary.weather.synthetic else "Sit"
     if annual.summary.weather.synthetic:
         lead = f"In a synthetic year only, {lead.lower()}"
     return (
         f"{lead} {advice}",
         f"Facing {direction_name(worst.azimuth_deg)}, disturbing glare (DGP above 0.40) comes in "
-        f"{worst.hours_over['0.40']} of {annual.summary.occupancy.hours} occupied hours of the "
-        f"year; facing {direction_name(best.azimuth_deg)} in {best.hours_over['0.40']}. "
+        f"{worst.hours_over['0.40']} of {annual.summary.occupancy.hours} occupied hours of "
+        f"{period}; facing {direction_name(best.azimuth_deg)} in {best.hours_over['0.40']}. "
         f"{unseen if hidden else ''}A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 "
         "(medium) or 0.45 (minimum) in at most 5 % of the occupied hours. All of it holds for the "
         "camera's place: half a metre away, the window's edges are elsewhere.",
@@ -192,7 +194,7 @@ def when_section(annual: Annual, zone: str) -> Section:
         np.array([t.timetuple().tm_yday for t in local]),
         hour,
         layers,
-        local[len(local) // 2].year,
+        local[-1 if annual.summary.days > 371 else len(local) // 2].year,
         directions=[
             direction_name(azimuth) if seen else f"{direction_name(azimuth)}: not seen"
             for azimuth, seen in zip(annual.azimuths_deg, annual.judged, strict=True)

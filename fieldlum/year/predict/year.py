@@ -497,6 +497,8 @@ def _notes(
     )
     if not are_full_years(days := summary.days):
         yield f"the weather has {days} days, not a year (or full years): classes are for these only"
+    if days > 371:
+        yield f"hours are counted over all {days} days; heat map and compare show the last year"
     if summary.weather.synthetic:
         yield "the weather is synthetic: it must not be used to judge this place"
     yield from room.sky_view.notes if room.sky_view else [room.disc_from]
