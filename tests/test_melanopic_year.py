@@ -14,6 +14,7 @@ from fieldlum.learn import models
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.melanopic import LAMP_RATIO, U_SUN_RATIO, attribute_text, ratio_u_rel
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
+from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.light_similarity import facades_of
 from fieldlum.year.glare.standards import year_errors
@@ -23,9 +24,9 @@ from fieldlum.year.predict.melanopic import (
     YearHours,
     _parts,
     _without_sun,
+    digests,
     edi_budget,
     fit_year,
-    has_colour,
     year_of_captures,
 )
 
@@ -141,7 +142,8 @@ def test_the_budget_of_the_year_sums_to_monte_carlo_through_the_chain() -> None:
     dni = np.where(rng.uniform(size=8760) < 0.4, 600.0, 0.0)
     every = light_at(times, SITE, dni, rng.uniform(20.0, 300.0, 8760))
     hours = every[every.sun_altitude_deg > 0.0]
-    day, captures = YearHours.of(hours.t_utc, "America/Los_Angeles", 365), light(80)
+    day = YearHours.of(hours.t_utc, "America/Los_Angeles", PredictFile(days=365))
+    captures = light(80)
     captures = captures[captures.sun_altitude_deg > 3.0]
     year = coloured(captures, np.array([1.0, 0.2, 0.9, 0.6]), np.ones(2))
     year = replace(year, u_fit_rel=0.06, u_camera_rel={"scale": 0.04, "melanopic weight": 0.025})
@@ -190,7 +192,7 @@ def test_the_captures_colour_reaches_the_year(tmp_path: Path) -> None:
     data = dataset(("2027-03-20", "2027-06-21"), height=12)
     models.save(tmp_path / "m", models.fit("nearest", data, patch="none"), data)
     pairs = write_pairs(tmp_path, data)
-    assert not has_colour(pairs)
+    assert not digests(pairs)
     text = attribute_text(np.array([0.2, 0.5, 0.1]), np.eye(3), 0.03)  # 0.8 of white
     for path in tmp_path.glob("m*.exr"):
         light = read_panorama(path).luminance_cdm2

@@ -549,7 +549,7 @@ def test_a_model_of_earlier_pictures_is_refused_and_the_report_warns(
     view.write(own / "sky_view.exr")
     view.write(session.sky_view)
     year = run(own, weather)[0]
-    earlier = "The year is of an earlier model"
+    earlier = "Year nearest is of another model"
     assert earlier not in " ".join(warnings_of(session, year))
     more = view.inputs | {"captures": [*slots, "2027-06-21/1200"], "others": "c"}
     replace(view, inputs=more).write(session.sky_view)

@@ -19,7 +19,7 @@ from fieldlum.session import open_session, write_file
 from fieldlum.session.codec import to_json, write_object
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile
-from fieldlum.year.predict import best_and_worst, newest_annual
+from fieldlum.year.predict import best_and_worst, newest_annual, outdated_text
 
 _GLARE_DGP = "0.40"  # key of `hours_over`: disturbing glare by EN 17037
 
@@ -84,17 +84,18 @@ class RoomOverview:
     """What the page shows about one room.
 
     session: its folder, as in `CampaignFile`. broken: why the room could not be read, "" if it
-    could; if not, the further fields have their defaults. Numbers of slots: captured: with a
-    complete bracket; planned: of the plan; to_do: that can still be captured; failed: missed,
-    aborted or rejected by `pair`. usable: number of rows of pairs.csv that training uses.
-    occupied_hours: number in the newest predicted year, 0 without one. worst, best: directions with
-    the most and the least glare in this year, as `best_and_worst` and the room's own report name
-    them; None without a year or a direction with a class. is_unprotected: whether a direction of
-    it is certainly without protection from glare.
+    could; if not, the further fields have their defaults. caution: why its year is outdated,
+    or "". Numbers of slots: captured: with a complete bracket; planned: of the plan; to_do: that
+    can still be captured; failed: missed, aborted or rejected by `pair`. usable: number of rows of
+    pairs.csv that training uses. occupied_hours: number in the newest predicted year, 0 without
+    one. worst, best: directions with the most and the least glare in this year, as `best_and_worst`
+    and the room's own report name them; None without a year or a direction with a class.
+    is_unprotected: whether a direction of it is certainly without protection from glare.
     """
 
     session: str
     broken: str = ""
+    caution: str = ""
     captured: int = 0
     planned: int = 0
     to_do: int = 0
@@ -122,6 +123,7 @@ def overview_of(folder: Path, name: str) -> RoomOverview:
         best, worst = best_and_worst(year.protection) or (None, None)
         return RoomOverview(
             name,
+            caution="" if annual is None else outdated_text(session, annual),
             captured=capture["done"],
             planned=stages["plan"]["slots"],
             to_do=len(slots_ahead(session, datetime.now(UTC))),
@@ -163,8 +165,9 @@ def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
     facts = [("rooms", f"{len(rooms)}"), ("predicted years", f"{len(worst)}")]
     failed = f"{counted(sum(room.failed for room in rooms), 'slot')} failed"
     why = f"{failed}; {counted(len(broken), 'session')} could not be read."
-    skipped = [f"{room.session} was skipped. {room.broken}" for room in broken]
-    return render(Page(name, f"{answer}; {unsettled}.", why, facts, [_table(rooms)], skipped))
+    notes = [f"{room.session} was skipped. {room.broken}" for room in broken]
+    notes += [f"{room.session}: {room.caution}." for room in rooms if room.caution]
+    return render(Page(name, f"{answer}; {unsettled}.", why, facts, [_table(rooms)], notes))
 
 
 def _table(rooms: Sequence[RoomOverview]) -> Section:

@@ -41,7 +41,7 @@ from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.version import __version__
 from fieldlum.year.glare.picture_glare import valid_pixels
 from fieldlum.year.glare.pictures import FISHEYE_VIEW, panorama_to_fisheye, picture_centres
-from fieldlum.year.predict import newest_annual
+from fieldlum.year.predict import newest_annual, outdated_text, read_annual
 from fieldlum.year.predict.annual import time_coordinate, unit_of
 
 _FISHEYE_PX = 800  # evalglare's documentation recommends at least this for -vta pictures
@@ -312,7 +312,8 @@ def _notes(session: Session) -> list[str]:
         notes.append(f"folders of this computer are named in {', '.join(named)}")
     place = "latitude and longitude in session.toml, and the suns in the tables, give the place"
     people = "look at every contact sheet for people, screens and papers before you publish"
-    return [*notes, place, people]
+    years = map(read_annual, session.annual_folders())
+    return [*notes, *filter(None, (outdated_text(session, year) for year in years)), place, people]
 
 
 def _span(session: Session) -> tuple[str, str]:

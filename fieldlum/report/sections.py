@@ -27,7 +27,7 @@ from fieldlum.year.glare.standards import EXCEEDED_SHARE, dgp_per_scale
 from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE, read_budgets
 from fieldlum.year.predict import Annual, melanopic
 from fieldlum.year.predict.annual import Pictures
-from fieldlum.year.predict.year import best_and_worst, is_current
+from fieldlum.year.predict.year import best_and_worst, outdated_text
 
 _FISHEYE_PX = 220  # width and height of a fisheye: about its size on the page
 GA_DGP, SDG_DGP = 0.40, 0.38  # honeybee's limit of GA, and ClimateStudio's of sDG
@@ -318,7 +318,7 @@ def melanopic_shares(annual: Annual, zone: str) -> list[tuple[Share, list[Share]
     the value. Shares of a direction that was not seen are NaN. Raises InputError for a damaged
     budget.csv.
     """
-    hours = melanopic.YearHours.of(annual.t_utc, zone, annual.summary.days)
+    hours = melanopic.YearHours.of(annual.t_utc, zone, annual.summary)
     edi_lx, u_lx = annual.views["melanopic_edi_lx"], annual.views["u_melanopic_edi_lx"]  # [n, d]
     if not has_melanopic(annual):
         edi_lx, u_lx = annual.views["melanopic_edi_lx_estimate"], np.zeros(1)
@@ -510,8 +510,9 @@ def warnings_of(session: Session, year: Annual | None) -> list[str]:
     """Return the warnings of the page, one sentence each.
 
     They are about assumed settings and the camera; with a predicted year also about training,
-    weather, and whether the year is of the present model and session (`is_current`). year: None
-    without one. Raises InputError if the session or the year's model cannot be read.
+    weather, whether the year is of the present model and session (`outdated_text`), and which other
+    years the session has. year: None without one. Raises InputError if the session or the year's
+    model cannot be read.
     """
     camera = session.site_file().camera
     texts = profiles.assumed_texts(camera)
@@ -523,9 +524,7 @@ def warnings_of(session: Session, year: Annual | None) -> list[str]:
         texts += [f"From training: {text.removeprefix('WARNING: ')}" for text in of_model]
         kind = "The weather is" if weather.synthetic else "Weather:"
         texts += [f"{kind} {text}" for text in weather.repairs]
-        if not is_current(session, year):
-            texts.append(
-                "The year is of an earlier model, or of other captures, irradiance or place than "
-                "the session now has: run fieldlum train and fieldlum predict again"
-            )
+        texts += filter(None, [outdated_text(session, year)])
+        others = [f.name for f in session.annual_folders() if f.name != year.folder.name]
+        texts += [f"Shown: year {year.folder.name}; others: {', '.join(others)}"] if others else []
     return [sentence(text) for text in texts]

@@ -66,7 +66,9 @@ class PredictFile(JsonFile, frozen=True):
     of its kind, such as transport; setup: SITE.toml as a table; height, width: of the maps [px];
     heading_deg: azimuth of their centre column; azimuths_deg: of the d view directions; azimuths
     are clockwise from true north; hours: number of rows of hourly.csv, one for each daylight hour;
-    days: number of days of the weather; first, last: UTC times of the first and the last row;
+    days: number of days of the weather; known: numbers of the hours from 06:00 to 19:00 and of the
+    days whose hours from 09:00 to 13:00 have weather or are dark, in local standard time, zeros in
+    files of earlier versions; first, last: UTC times of the first and the last row;
     disc_from: how the visibility of the sun's disc is known; seen_share [d]: share (0 to 1) of a
     uniform field's vertical illuminance that comes from where the lenses saw, empty if they saw
     everything; u_scale_rel: relative standard uncertainty of the captures' scale; model_warnings,
@@ -87,6 +89,7 @@ class PredictFile(JsonFile, frozen=True):
     weather: YearWeather = YearWeather()
     hours: int = 0
     days: int = 0
+    known: tuple[int, int] = (0, 0)
     first: str = ""
     last: str = ""
     occupancy: YearOccupancy = YearOccupancy()

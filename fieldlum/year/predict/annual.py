@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.records import JsonTable
-from fieldlum.session import Session, replacing
+from fieldlum.session import replacing
 from fieldlum.session.codec import open_arrays
 from fieldlum.session.files.hourly_csv import HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
@@ -166,17 +166,6 @@ def read_annual(folder: Path) -> Annual:
     summary = PredictFile.read(folder)
     year = HourlyFile.read(folder, np.array(summary.azimuths_deg), summary.hours)
     return Annual(year.t_utc, year.azimuths_deg, year.hours, year.views, folder, summary)
-
-
-def newest_annual(session: Session) -> Annual | None:
-    """Return the session's newest predicted year in annual/; None if it has no year.
-
-    The newest is the one whose predict.json was modified last, by the time of the file. Raises
-    InputError as `read_annual` does.
-    """
-    folders = session.annual_folders()
-    newest = max(folders, key=lambda f: (f / "predict.json").stat().st_mtime, default=None)
-    return None if newest is None else read_annual(newest)
 
 
 def read_pictures(folder: Path) -> Pictures:

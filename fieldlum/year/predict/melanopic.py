@@ -23,7 +23,10 @@ from fieldlum.core.room_states import LAMP_OFF, is_lit
 from fieldlum.learn.models.training_data import states_of
 from fieldlum.optics import melanopic
 from fieldlum.optics.images import read_panorama
+from fieldlum.session import sha256
+from fieldlum.session.codec import data_digest
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.sky import light_similarity
 from fieldlum.sky.daylight import MIN_LX, Light, light_at
 from fieldlum.sky.light_similarity import LAMP_LX, Facades, Features, Kernel
@@ -31,8 +34,10 @@ from fieldlum.sky.sun import horizontal_beam, standard_time
 from fieldlum.year.glare import uncertainty_budget as budget
 from fieldlum.year.glare.metrics import map_ev_lx
 from fieldlum.year.glare.sources import panorama_views
+from fieldlum.year.predict.occupancy import known_hours
 
 if TYPE_CHECKING:
+    from fieldlum.weather import Weather
     from fieldlum.year.predict.hour_blocks import ModelRoom
 
 Figures = Mapping[str, Floats]
@@ -217,15 +222,22 @@ def _without_sun(light: Light) -> Light:
     return replace(light, dni_wm2=dark, perez=perez)
 
 
-def has_colour(pairs: Path) -> bool:
-    """Return whether the first usable picture of a pairs.csv has melanopic colour.
+def digests(pairs: Path) -> dict[str, str]:
+    """Return what EDI of a year is computed from: a digest of each usable capture, by its picture.
 
-    pairs: path of the file; False if it, or the picture, is missing. Raises InputError for a
-    damaged one.
+    pairs: path of the csv. The digest is of the capture's time, irradiance, state and picture. The
+    result is empty if the first usable picture is missing or has no melanopic colour: then a year
+    has no EDI. Raises InputError for a damaged file.
     """
-    named = [row.panorama for row in PairsFile.find(pairs).usable if row.panorama]
-    path = pairs.parent / (named or [""])[0]
-    return path.is_file() and melanopic.melanopic_ratio(read_panorama(path)) is not None
+    rows, found = [row for row in PairsFile.find(pairs).usable if row.panorama], {}
+    first = pairs.parent / rows[0].panorama if rows else pairs
+    if not (rows and first.is_file() and melanopic.melanopic_ratio(read_panorama(first))):
+        return {}
+    for row, state in zip(rows, states_of(pairs, rows) or [""] * len(rows), strict=True):
+        path = pairs.parent / row.panorama
+        picture = sha256(path) if path.is_file() else ""
+        found[row.panorama] = data_digest(row.t_utc, row.dni_wm2, row.dhi_wm2, state, picture)[:16]
+    return found
 
 
 def year_of_captures(
@@ -276,22 +288,24 @@ class YearHours:
     """The times of n daylight hours, in local standard time.
 
     hour: of the day, 0 to 23, in which the moment is [n]; day: number of days since the earliest
-    one [n]. days: number of all days of the year, also of those without daylight hours.
+    one [n]. known: as in `PredictFile`.
     """
 
     hour: Array
     day: Array
-    days: int
+    known: tuple[int, int]
 
     @classmethod
-    def of(cls, t_utc: Sequence[datetime], zone: str, days: int) -> YearHours:
+    def of(cls, t_utc: Sequence[datetime], zone: str, summary: PredictFile) -> YearHours:
         """Return the times t_utc [n] as `YearHours`.
 
-        zone: IANA name, for standard time; days: as the field, of which at least 1 is used.
+        zone: IANA name, for standard time; summary: of the year. One of an earlier version does not
+        state what is known: all 13 hours of its days count.
         """
+        known = summary.known if any(summary.known) else (13 * summary.days, summary.days)
         local = [standard_time(t, zone) for t in t_utc]
         hour, day = np.array([(t.hour, t.toordinal()) for t in local]).reshape(-1, 2).T
-        return cls(hour, day - day.min(initial=day.max(initial=0)), max(days, 1))
+        return cls(hour, day - day.min(initial=day.max(initial=0)), known)
 
     def shares(self, edi_lx: Floats) -> dict[str, Floats]:
         """Return shares of the year with enough melanopic light [%], by name, [d] each.
@@ -300,20 +314,28 @@ class YearHours:
         the share of the hours from 06:00 to 19:00 with at least 250 lx (Brown et al. 2022). Each
         key of `ENOUGH_DAYS` is the share of the days on which all four hours from 09:00 to 13:00
         have at least its limit, 109, 136, 163 or 250 lx (WELL v2, L03). Hours in the dark count as
-        without light. A direction without any EDI has NaN.
+        without light. Hours with the sun up but without weather, and days with such an hour from
+        09:00 to 13:00, are left out. A direction without any EDI has NaN.
         """
         first, last = BROWN_HOURS
         enough = edi_lx[(self.hour >= first) & (self.hour < last)] >= BROWN_EDI_LX
-        count = {ENOUGH_HOURS: enough.sum(axis=0) / (last - first)}
+        share = {ENOUGH_HOURS: enough.sum(axis=0) / max(self.known[0], 1)}
         rows, first = np.isin(self.hour, range(*WELL_HOURS)), WELL_HOURS[0]
         by_day = np.zeros(
             (WELL_HOURS[1] - first, int(self.day.max(initial=0)) + 1, edi_lx.shape[1])
         )
         by_day[self.hour[rows] - first, self.day[rows]] = edi_lx[rows]  # [hours, days, d]
         days = (by_day.min(axis=0) >= np.array(WELL_EDI_LX)[:, None, None]).sum(axis=1)
-        count |= dict(zip(ENOUGH_DAYS, days, strict=True))
+        share |= dict(zip(ENOUGH_DAYS, days / max(self.known[1], 1), strict=True))
         has_edi = np.isfinite(edi_lx).any(axis=0)
-        return {k: np.where(has_edi, 100.0 * c / self.days, np.nan) for k, c in count.items()}
+        return {name: np.where(has_edi, 100.0 * s, np.nan) for name, s in share.items()}
+
+
+def known(weather: Weather) -> tuple[int, int]:
+    """Return `PredictFile.known` of a weather file: numbers of hours and days for the shares."""
+    _, mask = known_hours(weather.t_utc, weather.site)  # [days, 24]
+    days = mask[:, slice(*WELL_HOURS)].all(axis=1)
+    return int(mask[:, slice(*BROWN_HOURS)].sum()), int(days.sum())
 
 
 def edi_budget(

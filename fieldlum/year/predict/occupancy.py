@@ -133,20 +133,28 @@ def occupied_hours(
 ) -> tuple[int, int]:
     """Return the number of occupied hours on the days of a weather file, and the number of days.
 
-    times_utc: middles of the hours with weather, aware; at least one. Days are dates in local
-    standard time at the site. Occupied hours in the dark count. An hour with the sun up but without
-    weather does not count, because it would look like an hour without glare. Raises
-    NotEnoughDataError if no hour counts.
+    times_utc: middles of the hours with weather, aware; at least one. Only the hours of
+    `known_hours` count. Raises NotEnoughDataError if no hour counts.
     """
-    zone = site.timezone
-    days = sorted({standard_date(t, zone) for t in times_utc})
-    starts = [standard_midnight(day, zone) for day in days]
-    middles = np.array([start + (k + 0.5) * _HOUR for start in starts for k in range(24)])
-    with_weather = {(t - starts[0]) // _HOUR for t in times_utc}
-    no_weather = np.array([(t - starts[0]) // _HOUR not in with_weather for t in middles])
-    used = occupancy.at(middles.tolist(), zone)
-    used[no_weather] &= position(middles[no_weather].tolist(), site).altitude_deg <= 0.0
+    middles, known = known_hours(times_utc, site)
+    used = occupancy.at(middles, site.timezone) & known.ravel()
     if not used.any():
         found = f"the weather file has no values for any occupied hour ({occupancy.text})"
-        raise NotEnoughDataError(f"{found} on its {len(days)} days; correct --occupancy")
-    return int(used.sum()), len(days)
+        raise NotEnoughDataError(f"{found} on its {len(known)} days; correct --occupancy")
+    return int(used.sum()), len(known)
+
+
+def known_hours(times_utc: Sequence[datetime], site: Site) -> tuple[list[datetime], Mask]:
+    """Return the middles of all hours on the n days of a weather file, and which of them are known.
+
+    times_utc: middles of the hours with weather, aware; at least one. Days are dates in local
+    standard time at the site. The middles are n * 24 times, the mask is [n, 24]. An hour is known
+    if it has weather, or if the sun is down. One with the sun up but without weather is not,
+    because it would look like an hour without light and without glare.
+    """
+    days = sorted({standard_date(t, site.timezone) for t in times_utc})
+    starts = [standard_midnight(day, site.timezone) for day in days]
+    middles = [start + (k + 0.5) * _HOUR for start in starts for k in range(24)]
+    with_weather = {(t - starts[0]) // _HOUR for t in times_utc}
+    known = np.array([(t - starts[0]) // _HOUR in with_weather for t in middles])
+    return middles, (known | (position(middles, site).altitude_deg <= 0.0)).reshape(-1, 24)

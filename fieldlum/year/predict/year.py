@@ -1,17 +1,18 @@
 """Run `predict`: from a model and weather to a year of figures."""
 
 import shutil
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import structs
 
 from fieldlum.core.arrays import Floats, Mask
-from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.errors import Caution, InputError, NotEnoughDataError
 from fieldlum.core.records import utc_text
 from fieldlum.core.room_states import LAMP_OFF
 from fieldlum.core.scheduler import LOCAL, Scheduler
@@ -20,7 +21,7 @@ from fieldlum.optics import projection
 from fieldlum.optics.images import read_panorama
 from fieldlum.pair.camera_sky_view import is_outdated
 from fieldlum.session import Session, check_writable, open_session, sha256
-from fieldlum.session.codec import current_note, sealed
+from fieldlum.session.codec import current_note, data_digest, sealed
 from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.predict_json import (
@@ -72,8 +73,8 @@ def run(
     """Predict all daylight hours of a weather file with a trained model, and write the year.
 
     A year with the same inputs that exists in the output folder is returned instead, unless
-    `force`. Otherwise an earlier year there is replaced; after an interruption the folder has no
-    predict.json, and so no year.
+    `force`, and becomes the newest (`newest_annual`). Otherwise an earlier year there is replaced;
+    after an interruption the folder has no predict.json, and so no year.
 
     weather_path: a file as for `read_weather`, or "synthetic". out: output folder; None:
     `default_folder`. views: number of horizontal view directions at equal steps, from the maps'
@@ -98,11 +99,14 @@ def run(
     occupancy, lit = read_occupancy(occupancy_path), None
     if lamps:
         lit = Occupancy("off") if lamps == "off" else read_occupancy(Path(lamps))
-    pairs = session.pairs if session is not None and melanopic.has_colour(session.pairs) else None
+    of_captures = {"camera_u_rel": {}, "colour": {}} if session is None else _of_captures(session)
     options = {"views": views, "occupancy": occupancy.text, "maps": maps, "seed": 0}
     options |= {"label_shift_min": label_shift_min, "lamps": lit.text if lit else ""}
-    inputs = _files(model_folder, weather_path, sky_view) | options | {"colour": pairs is not None}
+    options |= {"hours_sha256": data_digest(occupancy, lit)}
+    inputs = _files(model_folder, weather_path, sky_view) | options | of_captures
     if not force and (existing := _already(folder, inputs)) is not None:
+        with suppress(OSError):  # of another user, or on a read-only disk
+            (folder / "predict.json").touch()
         return PredictedYear(existing, new=False)
     check_writable(folder)
     if sky_view is not None:
@@ -112,10 +116,9 @@ def run(
     light = _daylight(weather, weather_path, lit)
     azimuths = view_azimuths_deg(room.heading_deg, views)
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
-    camera = {} if session is None else camera_u_rel(session)
-    colours = None
-    if pairs is not None:
-        colours = melanopic.year_of_captures(pairs, room, azimuths, camera)
+    camera, colours = of_captures["camera_u_rel"], None
+    if session is not None and of_captures["colour"]:
+        colours = melanopic.year_of_captures(session.pairs, room, azimuths, camera)
     # an interruption must not leave the hours of one weather file with the classes of another
     (folder / "predict.json").unlink(missing_ok=True)
     for name in (hour_blocks.MAPS_FOLDER, hour_blocks.DRAFT_FOLDER):
@@ -126,11 +129,11 @@ def run(
     figures = hour_blocks.predict_figures(model_folder, room, light, azimuths, **how)
     figures.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
     about = _about(room, config, weather, light, azimuths)
-    summary = structs.replace(about, inputs=inputs, days=days)
+    summary = structs.replace(about, inputs=inputs, days=days, known=melanopic.known(weather))
     annual = Annual(light.t_utc, azimuths, figures.hours, _columns(figures), folder, summary)
     annual, budgets = _judged(annual, figures.uncertainty, hours_used, room, camera)
     if colours is not None:
-        hours = melanopic.YearHours.of(light.t_utc, weather.site.timezone, days)
+        hours = melanopic.YearHours.of(light.t_utc, weather.site.timezone, summary)
         budgets += melanopic.edi_budget(colours, figures.views, hours, azimuths)
     if store:
         hour_blocks.finish_maps(folder, annual, room)
@@ -385,22 +388,50 @@ def is_model_outdated(session: Session, config: ModelConfig, view: SkyView | Non
     return is_outdated(session, view) or (not added and own.inputs != view.inputs)
 
 
-def is_current(session: Session, annual: Annual) -> bool:
-    """Return whether a year was predicted with the present model and from the present session.
+def _of_captures(session: Session) -> dict[str, Any]:
+    """Return the inputs of a year that are from its session's captures, not from the model.
 
-    It is False if the model in models/ was trained again since, or if place, camera, room or
-    pictures of the session are now others than those of the model. It is True if the session does
-    not have the model any more, because then nothing can be compared. Raises InputError for a
-    damaged model or session.
+    camera_u_rel: result of that function; colour: result of `melanopic.digests`. Raises
+    InputError for a damaged session.
+    """
+    return {"camera_u_rel": camera_u_rel(session), "colour": melanopic.digests(session.pairs)}
+
+
+def newest_annual(session: Session) -> Annual | None:
+    """Return the session's newest predicted year in annual/; None if it has no year.
+
+    The newest is the one whose predict.json was modified last, by the time of the file. Warns with
+    `Caution` of a year that is not of the present session (`outdated_text`). Raises InputError as
+    `read_annual` and `outdated_text` do.
+    """
+    folders = sorted(session.annual_folders(), key=lambda f: -(f / "predict.json").stat().st_mtime)
+    annual = next(map(read_annual, folders), None)
+    if annual is not None and (text := outdated_text(session, annual)):
+        warnings.warn(f"{session.root}: {text}", Caution, stacklevel=2)
+    return annual
+
+
+def outdated_text(session: Session, annual: Annual) -> str:
+    """Return a sentence if a year is not of the present model and session, else "".
+
+    It is not if the model in models/ was trained again since; if place, camera, room or pictures of
+    the session are now others than those of the model; or if the camera's stated uncertainty or
+    captures that gave the year's colour are others now. Captures that were added since do not
+    count. The text is "" too if the session does not have the model any more, because then nothing
+    can be compared. Raises InputError for a damaged model or session.
     """
     used = annual.summary.inputs
-    folder = session.models / str(used["model"])
+    folder = session.models / str(used.get("model", ""))
     if not (folder / "config.json").is_file():
-        return True
-    config = read_config(folder)
-    room = hour_blocks.room_of(config, folder)
+        return ""
+    config, colour, now = read_config(folder), used.get("colour"), _of_captures(session)
     same = used.get("model_sha256") in (None, sha256(folder / "config.json"))
-    return same and not any(_differences(session, room, config))
+    same &= used.get("camera_u_rel", now["camera_u_rel"]) == now["camera_u_rel"]
+    # in earlier versions colour is True or False
+    same &= not isinstance(colour, dict) or colour.items() <= now["colour"].items()
+    same = same and not any(_differences(session, hour_blocks.room_of(config, folder), config))
+    text = f"Year {annual.folder.name} is of another model, calibration or place, or other captures"
+    return "" if same else f"{text}, than the session has now: run fieldlum predict again"
 
 
 def _files(model: Path, weather: Path, sky_view: Path | None) -> dict[str, object]:
