@@ -33,6 +33,7 @@ from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.optics.raw.writing import write_jpeg
+from fieldlum.pair.irradiance import Mark, series_of
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
 from fieldlum.session.slot_states import apply_events
 
@@ -296,14 +297,12 @@ def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> No
 @pytest.mark.contract
 def test_logger_rows_are_added_once(session: Session) -> None:
     rows = [IrradianceSample(DAWN + timedelta(minutes=i), ghi_wm2=300.0 + i) for i in range(1000)]
-    assert add_samples(session, rows) == 1000
-    assert (
-        add_samples(session, [*rows, IrradianceSample(DAWN - timedelta(minutes=1), ghi_wm2=1.0)])
-        == 1
-    )
+    assert add_samples(session, rows)[0] == 1000
+    earlier = IrradianceSample(DAWN - timedelta(minutes=1), ghi_wm2=1.0)
+    assert add_samples(session, [*rows, earlier]) == (1, {})
     assert sum(len(read_day(p)[0]) for p in day_files(session)) == 1001
     later = IrradianceSample(DAWN + timedelta(days=1), ghi_wm2=5.0)
-    assert add_samples(session, [later, later, replace(later, ghi_wm2=6.0)]) == 2
+    assert add_samples(session, [later, later, replace(later, ghi_wm2=6.0)])[0] == 2
 
 
 @pytest.mark.contract
@@ -361,6 +360,44 @@ def test_a_file_told_anew_replaces_what_it_brought(session: Session, tmp_path: P
     assert len(rows_of(session)) == 171
     kept = sorted((session.irradiance / "withdrawn").iterdir())
     assert [len(read_day(path)[0]) for path in kept] == [170, 170]
+
+
+@pytest.mark.contract
+def test_another_quantity_joins_the_rows_of_its_times(session: Session, tmp_path: Path) -> None:
+    """Global and diffuse in two files of one logger: both count, whatever is corrected later."""
+
+    def added(name: str, column: str, values: list[float], *options: str) -> str:
+        rows = "".join(f"2027-03-20T20:{m:02d}:00Z,{v}\n" for m, v in enumerate(values))
+        (tmp_path / name).write_text(f"t_utc,{column}\n{rows}")
+        words = ["import", str(session.root), "--irradiance", str(tmp_path / name), *options]
+        done = CliRunner().invoke(main, words)
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    def joined() -> tuple[list[float], list[float], int]:
+        series = series_of(rows_of(session))
+        doubles = int(np.sum(series.marks & Mark.DOUBLE > 0))
+        return series.ghi_wm2.tolist(), series.dhi_wm2.tolist(), doubles
+
+    ghi, dhi = [100.0, 500.0, 520.0], [100.0, 80.0, 90.5]
+    assert "3 rows of irradiance" in added("ghi.csv", "ghi_wm2", ghi)
+    assert "3 rows of irradiance" in added("dhi.csv", "dhi_wm2", dhi)
+    assert joined() == (ghi, dhi, 0)
+    right = [130.0, 650.0, 520.0]
+    refused = added("fix.csv", "ghi_wm2", right)
+    assert "0 rows of irradiance" in refused and "--replace" in refused
+    assert "2 rows have times that are stored with other values" in refused
+    assert joined() == (ghi, dhi, 0)
+    assert "2 rows of irradiance" in added("fix.csv", "ghi_wm2", right, "--replace")
+    assert joined() == (right, dhi, 0)
+    assert "other values" not in added("fix.csv", "ghi_wm2", right)
+    rows = [IrradianceSample(DAWN, ghi_wm2=300.0, dhi_wm2=60.0, raw="300,60")]
+    add_samples(session, rows)
+    (tmp_path / "dawn.csv").write_text(f"t_utc,ghi_wm2\n{DAWN:%Y-%m-%dT%H:%M:%SZ},390\n")
+    assert import_rows(session, tmp_path / "dawn.csv", None, replace_others=True).withdrawn == 1
+    assert joined() == ([390.0, *right], [60.0, *dhi], 0)  # its diffuse remains
+    kept = (session.irradiance / "withdrawn").iterdir()
+    assert 520.0 in {row.ghi_wm2 for path in kept for row in read_day(path)[0]}
 
 
 @pytest.mark.contract

@@ -3,11 +3,12 @@
 import re
 import shutil
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 from fieldlum.capture import match_card
 from fieldlum.capture.bracket import FrameRequest, frame_requests, write_capture
@@ -32,24 +33,22 @@ def run(
     logger: Path | None = None,
     utc_offset_s: float | None = None,
     logger_utc_offset_s: float | None = None,
-    columns: Mapping[str, str] | None = None,
-    sensitivities: Mapping[str, float] | None = None,
+    **of_logger: Any,
 ) -> Report:
     """Copy the brackets that match the plan into raw/ and the journal; return what was imported.
 
     Add a logger's rows to the day files. An import can be repeated. The card and the logger's file
     are never changed. folder: of the card, None to import only the file `logger`. utc_offset_s:
     clocks of camera and logger minus UTC [s]; None reads the camera's from EXIF or fits it to the
-    plan. logger_utc_offset_s: the logger's, if it is another. columns: the logger's column name for
-    each quantity, if it is unusual; sensitivities: of pyranometers whose column is a voltage, uV
-    per W/m2. Raises InputError for a folder without frames, an ambiguous clock, an invalid logger's
-    file, or while a capture runs; NotEnoughDataError if no bracket matched.
+    plan. logger_utc_offset_s: the logger's, if it is another. of_logger: further arguments of
+    `import_rows`. Raises InputError for a folder without frames, an ambiguous clock, an invalid
+    logger's file, or while a capture runs; NotEnoughDataError if no bracket matched.
     """
     with sole_user(session, "capture"):
         rows, report = Report(), Report()
         if logger is not None:
             offset_s = utc_offset_s if logger_utc_offset_s is None else logger_utc_offset_s
-            rows = import_rows(session, logger, offset_s, columns, sensitivities)
+            rows = import_rows(session, logger, offset_s, **of_logger)
         if folder is not None:
             report = _import_card(session, folder, utc_offset_s)
     left_out, notes = (*report.left_out, *rows.left_out), (*report.notes, *rows.notes)

@@ -1,11 +1,14 @@
 """Add a logger's file to the day files.
 
-A repeated import with another clock or other columns replaces the earlier rows.
+A repeated import with another clock or other columns replaces the earlier rows. Rows of other
+quantities at the same times are added to them.
 """
 
+import math
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
+from dataclasses import replace
 from datetime import datetime, timedelta
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -17,7 +20,7 @@ import numpy as np
 from fieldlum.capture.match_card import Report
 from fieldlum.core.arrays import evenly_spread
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import IrradianceSample, Site, utc_text
+from fieldlum.core.records import IrradianceSample, Site, counted, utc_text
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
 from fieldlum.session import Session, replacing, replacing_path, sole_user, update_session
 from fieldlum.session.day_files import DAY_COLUMNS, DayFiles, day_files, encode_sample, read_day
@@ -36,12 +39,14 @@ def import_rows(
     utc_offset_s: float | None,
     columns: Mapping[str, str] | None = None,
     sensitivities: Mapping[str, float] | None = None,
+    replace_others: bool = False,
 ) -> Report:
     """Add the rows of a logger's file to the day files; return how many were added and removed.
 
-    Rows whose time the day files already have are not added. Rows that an earlier import of a file
-    of this name read with another clock or other columns are removed. utc_offset_s: the logger's
-    clock minus UTC [s], if the file does not state it. columns: name of the column for each
+    `add_samples` says which rows are added. Rows that an earlier import of a file of this name read
+    with another clock or other columns are removed; `replace_others` also removes stored values
+    that the file contradicts. utc_offset_s: the logger's clock minus UTC [s], if the file does not
+    state it. columns: name of the column for each
     quantity, if it is unusual. sensitivities: of pyranometers whose column is a voltage, uV per
     W/m2. session.toml records how the file was read. Raises InputError for a file that cannot be
     read or follows summer time, or if another process logs into the session.
@@ -63,11 +68,18 @@ def import_rows(
             if other != table and other["file"] == table["file"]:
                 with suppress(InputError):  # the file cannot be read in the earlier way any more
                     withdrawn += remove_rows(session, _read_as(path, other).samples)
-        added = add_samples(session, logger_file.samples)
+        added, others = add_samples(session, logger_file.samples)
+        if replace_others:
+            withdrawn += remove_rows(session, others)
+            added += add_samples(session, logger_file.samples)[0]
+            add_samples(session, others.values())  # what this file does not have
     if table not in before:
         update_session(session, {"logger_files": [*before, table]})
     left_out = tuple(f"{path}: {text}" for text in logger_file.left_out)
     notes = tuple(f"{path}: {text}" for text in logger_file.notes)
+    if others and not replace_others:
+        found = f"{counted(len(others), 'row')} have times that are stored with other values"
+        notes += (f"{path}: {found}, which remain; if this file is right, add --replace",)
     return Report(rows=added, withdrawn=withdrawn, left_out=left_out, notes=notes)
 
 
@@ -123,28 +135,48 @@ def _read_as(path: Path, table: LoggerFileTable) -> LoggerFile:
     return read_logger_file(path, offset, table.get("columns"), table.get("sensitivities"))
 
 
-def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Append the readings whose time is in no day file yet; return their number.
+def add_samples(
+    session: Session, samples: Iterable[IrradianceSample]
+) -> tuple[int, dict[IrradianceSample, IrradianceSample]]:
+    """Append the readings that add to the day files; return their number, and contradicted rows.
 
-    Of equal readings in sequence, one is appended; different readings of the same time all are.
+    A reading adds to them if its time is not stored, or if no row of its time has a quantity that
+    it has; `series_of` joins rows of one time. Of equal readings in sequence, one is appended;
+    different readings of the same time in `samples` all are. Contradicted are stored rows whose
+    irradiance differs from that of `samples` at the same time; each has its copy without it.
     Raises OSError if a day file cannot be read or written, InputError as `DayFiles` does.
     """
-    ordered = sorted(samples, key=lambda s: s.t_utc)
-    stored_utc: set[datetime] = set()
-    days = {s.t_utc.strftime("%Y-%m-%d") for s in ordered}
-    for path in day_files(session):
-        if path.stem in days:
-            stored_utc |= {s.t_utc for s in read_day(path)[0]}
+    paths, count = {path.stem: path for path in day_files(session)}, 0
+    others: dict[IrradianceSample, IrradianceSample] = {}
     # Equal readings in sequence come from a table that contains a copy of itself.
-    new = [sample for sample, _ in groupby(ordered) if sample.t_utc not in stored_utc]
+    ordered = [sample for sample, _ in groupby(sorted(samples, key=lambda s: s.t_utc))]
     with closing(DayFiles(session, flush=False)) as log:
-        for sample in new:
-            log.append(sample)
-    return len(new)
+        for day, of_day in groupby(ordered, key=lambda s: s.t_utc.strftime("%Y-%m-%d")):
+            stored: dict[datetime, list[IrradianceSample]] = {}
+            for row in read_day(paths[day])[0] if day in paths else ():
+                stored.setdefault(row.t_utc, []).append(row)
+            for sample in of_day:
+                rows = stored.get(sample.t_utc, [])
+                known = {number for row in rows for number in _numbers(row)}
+                new = {name for name, _ in _numbers(sample) - known}
+                wrong = new & {name for name, _ in known}
+                rest = {row: replace(row, **dict.fromkeys(wrong)) for row in rows}
+                others |= {row: other for row, other in rest.items() if other != row}
+                if not rows or new > wrong:
+                    log.append(sample)
+                    count += 1
+    return count, others
+
+
+def _numbers(sample: IrradianceSample) -> set[tuple[str, float]]:
+    """Return name and value [W/m2] of a reading's irradiances, as a day file stores them."""
+    names = ("ghi_wm2", "dhi_wm2", "dni_wm2")
+    values = ((name, getattr(sample, name)) for name in names)
+    return {(n, float(f"{v:.7g}")) for n, v in values if v is not None and math.isfinite(v)}
 
 
 def remove_rows(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Remove the rows with the times and raw texts of `samples` from the day files.
+    """Remove the rows with times, raw texts and irradiances of `samples` from the day files.
 
     Return the number of removed rows; samples without such a row are ignored. A changed day file's
     earlier version remains in irradiance/withdrawn/. If a row was removed, clean.csv, which was
@@ -171,6 +203,6 @@ def remove_rows(session: Session, samples: Iterable[IrradianceSample]) -> int:
     return count
 
 
-def _key(sample: IrradianceSample) -> tuple[str, str]:
-    """Return the time and the raw text of a reading, which identify its row."""
-    return utc_text(sample.t_utc), sample.raw
+def _key(sample: IrradianceSample) -> tuple[str, str, frozenset[tuple[str, float]]]:
+    """Return the time, the raw text and the irradiances of a reading, which identify its row."""
+    return utc_text(sample.t_utc), sample.raw, frozenset(_numbers(sample))

@@ -66,6 +66,7 @@ def command(
     logger_utc_offset_s: Annotated[Any, _utc_offset] = None,
     columns: Annotated[tuple[Any, ...], _column] = (),
     sensitivity: Annotated[tuple[Any, ...], _sensitivity] = (),
+    replace: bool = False,
 ) -> None:
     """Import a card's folder and a logger's file.
 
@@ -87,6 +88,8 @@ def command(
           columns of a file without names.
       --sensitivity QUANTITY=UV_PER_WM2: Sensitivity of the pyranometer, uV per W/m2, if the
           logger's column is a voltage.
+      --replace: Remove stored irradiance that the logger's file contradicts at the same times;
+          irradiance/withdrawn keeps it.
     """
     if folder is None and irradiance_file is None:
         raise click.UsageError("name a card's folder, or a logger's file with --irradiance")
@@ -97,7 +100,7 @@ def command(
 
     clocks = {"utc_offset_s": utc_offset_s, "logger_utc_offset_s": logger_utc_offset_s}
     of_logger: dict[str, Any] = {"logger": irradiance_file, "columns": dict(columns) or None}
-    of_logger["sensitivities"] = dict(sensitivity) or None
+    of_logger |= {"sensitivities": dict(sensitivity) or None, "replace_others": replace}
     with terminal.progress("import"):
         report = import_card.run(session, folder, **clocks, **of_logger)
     for line in _summary(report):
@@ -105,7 +108,7 @@ def command(
     frames, rows = counted(report.frames, "frame"), counted(report.rows, "row")
     line = f"{counted(report.brackets, 'bracket')} with {frames}, {rows} of irradiance"
     if report.withdrawn:
-        line += f"; rows of an earlier import of this file that were removed: {report.withdrawn}"
+        line += f"; rows of an earlier import that were removed: {report.withdrawn}"
     if report.known:
         line += f"; {report.known} brackets were already imported"
     click.echo(f"{session.root}: {line}")

@@ -26,7 +26,7 @@ _SEGMENT_GAP_S = 1800.0
 _SPIKE_ROWS = 120  # rows on each side for the usual step: ten minutes at 5 s
 # rank of the usual step, so that four other spikes in the window do not hide one; chosen
 _SPIKE_RANK = 9
-_RECIPE = 12  # version of the arithmetic: increase it, and clean.csv is computed again
+_RECIPE = 13  # version of the arithmetic: increase it, and clean.csv is computed again
 
 
 # ----------------------------------------------------------------------------------------------
@@ -50,7 +50,7 @@ class Mark(IntFlag):
     DERIVED = 512  # DNI and DHI are from a model, not from an instrument
     # one reading deviates from both neighbours: a damaged line, a bird, a very small cloud
     SPIKE = 1024
-    DOUBLE = 2048  # another row of the same time has other values; the first one is used
+    DOUBLE = 2048  # another row of the same time has other values; the first ones are used
     # clearness, diffuse share or beam transmittance that is impossible for that long
     K_INDEX = 4096
     HORIZON = 16384  # a part of the low sky where the sun is always hidden
@@ -97,8 +97,9 @@ def local_period_s(t_unix_s: Floats) -> Floats:
 
 
 def series_of(samples: Sequence[IrradianceSample]) -> Series:
-    """Return samples as arrays in order of time; of samples with the same time, only the first.
+    """Return samples as arrays in order of time, one row for each time.
 
+    Samples of one time are joined: each quantity is the first value without an instrument's error.
     Rows get the marks STATUS, DIFFUSE (by the instrument's status), DISORDER and DOUBLE.
     """
     t = np.array([s.t_utc.timestamp() for s in samples])
@@ -108,10 +109,14 @@ def series_of(samples: Sequence[IrradianceSample]) -> Series:
     marks = np.array([status.get(s.status, Mark.STATUS) for s in samples], np.int64)
     marks[1:][t[1:] < np.maximum.accumulate(t)[:-1]] |= Mark.DISORDER
     _, keep, which = np.unique(t, return_index=True, return_inverse=True)
-    first = keep[which]  # first sample with the time of each sample
-    same = (light == light[:, first]) | (np.isnan(light) & np.isnan(light[:, first]))
-    marks[first[~same.all(axis=0)]] |= Mark.DOUBLE
-    ghi, dhi, dni = light[:, keep]
+    # The first value of each time: sorted, rows without a value or with an error are last.
+    faulty = marks & Mark.STATUS != 0
+    orders = [np.lexsort((np.isnan(values) | faulty, t)) for values in light]
+    firsts = [order[np.unique(t[order], return_index=True)[1]] for order in orders]
+    joined = np.stack([values[rows] for values, rows in zip(light, firsts, strict=True)])
+    differs = np.isfinite(light) & (light != joined[:, which])
+    marks[keep[which[differs.any(axis=0)]]] |= Mark.DOUBLE
+    ghi, dhi, dni = joined
     return Series(t[keep], ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni, marks=marks[keep])
 
 
