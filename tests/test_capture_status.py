@@ -9,10 +9,10 @@ import pytest
 from tiny_field import Field
 
 from fieldlum.cli import terminal
-from fieldlum.session import (
-    day_files,
-    read_day,
-)
+from fieldlum.optics.profiles import find_camera_profile
+from fieldlum.report.assessor import _instruments
+from fieldlum.session import day_files, read_day, sha256
+from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.stage_status import stage_status
 
 
@@ -54,6 +54,29 @@ def test_pairs_of_a_simulated_truth_are_no_pairs_of_panoramas(rig: Field) -> Non
     rig.session.panorama(slot).write_bytes(b"")
     answer = stage_status(rig.session)["pair"]
     assert answer == {"done": 0, "usable": 1, "owed": 1}
+
+
+@pytest.mark.contract
+def test_panoramas_of_another_profile_are_to_be_merged_and_named(rig: Field) -> None:
+    """`merge` writes them again, and the assessor's page shows the profile as it is now."""
+    rig.run()
+    session = rig.session
+    now = sha256(find_camera_profile(session.site_file().camera.profile))
+    slots = [slot.id for slot in session.slots()]
+    session.panoramas.mkdir()
+    for slot, of_profile in zip(slots, (now, "0" * 64, ""), strict=True):  # "": not recorded
+        session.panorama(slot).write_bytes(b"")
+        profile = {"name": "early", "sha256": of_profile} if of_profile else {}
+        Sidecar(slot, profile=profile).write(session.sidecar(slot))
+    answer = stage_status(session)
+    assert answer["merge"] == {"done": 2, "owed": 1}
+    assert answer["next_step"] == f"fieldlum merge {session.root}"
+    rows = dict(_instruments(session, session.site_file()).rows)
+    told = f"1 panorama of profile early, sha256 {'0' * 64}, so the profile above is not that of"
+    assert rows["profile, sha256"] == now and rows["results"].startswith(told)
+    Sidecar(slots[1], profile={"name": "now", "sha256": now}).write(session.sidecar(slots[1]))
+    assert stage_status(session)["merge"] == {"done": 3, "owed": 0}
+    assert "results" not in dict(_instruments(session, session.site_file()).rows)
 
 
 @pytest.mark.contract

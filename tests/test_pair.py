@@ -13,9 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from places import SEATTLE
 
 from fieldlum import pair
+from fieldlum.capture.import_logger import add_samples
+from fieldlum.cli import main
 from fieldlum.core.errors import ChangedFileWarning, InputError, NotEnoughDataError
 from fieldlum.core.records import (
     CLIPPED_SUN,
@@ -37,12 +40,14 @@ from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.pair import irradiance
 from fieldlum.pair.bracket_irradiance import irradiance_during
 from fieldlum.pair.sun_strength import completed_sun, measured_sun
-from fieldlum.session import DayFiles, Session, create_session
+from fieldlum.report.sections import warnings_of
+from fieldlum.session import DayFiles, Session, create_session, mark_slot
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PAIR_COLUMNS, PairRow, PairsFile, write_simulated_pairs
 from fieldlum.session.files.sidecar import warn_if_picture_changed
 from fieldlum.session.panorama_sun import SunRow, read_panorama_with_sun
+from fieldlum.session.stage_status import stage_status
 from fieldlum.sky import sun
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun_disc import add_source
@@ -288,6 +293,44 @@ def _bracket(session: Session, t_utc: datetime) -> None:
         "size_bytes": (session.panoramas / f"{name}.exr").stat().st_size,
     }
     (session.panoramas / f"{name}.json").write_text(json.dumps(side))
+
+
+@pytest.mark.contract
+def test_pairs_of_earlier_irradiance_or_marks_are_to_do_again(tmp_path: Path) -> None:
+    """A logger's clock that is corrected after `pair`, and a later mark, are in no stage's result.
+
+    Rows that a log adds later at other times change no pair.
+    """
+    session = make_session(tmp_path / "s", None)
+    pair.run(session)
+    slots = [slot.id for slot in session.slots()]
+
+    def state() -> tuple[int, int, int]:
+        of_pair = stage_status(session)["pair"]
+        return of_pair["done"], of_pair["usable"], of_pair["owed"]
+
+    later = IrradianceSample(NOON + timedelta(minutes=30), ghi_wm2=281.0, dhi_wm2=60.0)
+    add_samples(session, [later, replace(later, t_utc=NOON + timedelta(days=1))])
+    assert state() == (2, 2, 0) and not PairsFile.read(session.pairs).pair_again
+    mark_slot(session, slots[1], "lamp=on")
+    assert state() == (1, 1, 1) and PairsFile.read(session.pairs).outdated == {slots[1]}
+    pair.run(session)
+    assert state() == (2, 2, 0)
+    file = tmp_path / "dni.csv"
+    times = [NOON + timedelta(seconds=5 * k) for k in range(5)]
+    file.write_text("t_utc,dni_wm2\n" + "".join(f"{utc_text(t)},700\n" for t in times))
+    done = CliRunner().invoke(main, ["import", str(session.root), "--irradiance", str(file)])
+    told = "WARNING: 1 pair: irradiance or mark changed after pair: run fieldlum pair again"
+    assert done.exit_code == 0 and told in done.stderr, done.output
+    assert state() == (1, 1, 1) and stage_status(session)["next_step"].startswith("fieldlum pair")
+    assert told in load_pairs(session).notes
+    assert told in [text.rstrip(".") for text in warnings_of(session, None)]
+    text = session.pairs.read_text()
+    for row in PairsFile.read(session.pairs).rows:  # as version 0.2 wrote it: nothing is known
+        text = text.replace(row.inputs, "")
+    session.pairs.write_text(text)
+    session.pairs.with_name("pairs.csv.sha256").unlink()
+    assert state() == (2, 2, 0)
 
 
 def fields_of(sha256: str) -> dict[str, object]:

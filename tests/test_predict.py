@@ -24,6 +24,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room as Room3d
 from fieldlum.core.records import Site
 from fieldlum.learn import models
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.sky.sky_view.picture import SkyGrid
 from fieldlum.sky.sky_view.pose import CameraPose
 from fieldlum.sky.sky_view.view import SkyView
@@ -481,6 +482,23 @@ def test_a_repaired_weather_file_is_labelled(model: Path, tmp_path: Path) -> Non
         assert said in done.stderr
     repairs = " ".join(read_annual(tmp_path / "y").about["weather"]["repairs"])
     assert "29 February" in repairs
+
+
+@pytest.mark.contract
+def test_a_model_of_pairs_with_other_irradiance_now_asks_to_pair_again(
+    model: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(model, tmp_path / "models" / "auto")
+    path = tmp_path / "w.csv"
+    path.write_text("month,day,hour,dni_wm2,dhi_wm2\n6,21,12.5,500,100\n6,21,13.5,400,120\n")
+    words = ["predict", str(tmp_path / "models" / "auto"), "--weather", str(path), "--views", "1"]
+    told = "WARNING: 1 pair: irradiance or mark changed after pair: run fieldlum pair again"
+    row = PairRow(datetime(2027, 6, 21, 20, tzinfo=UTC), "panoramas/a.exr", 1.0, 2.0)
+    for inputs in ("", "0123456789ab", "0123456789ab"):  # the last one has nothing to do
+        PairsFile(tmp_path / "pairs.csv", (replace(row, inputs=inputs),)).write()
+        done = CliRunner().invoke(main, words)
+        assert done.exit_code == 0 and (told in done.stderr) is bool(inputs), done.output
+    assert "nothing to do" in done.stderr
 
 
 @pytest.mark.contract

@@ -183,8 +183,7 @@ def remove_rows(session: Session, samples: Iterable[IrradianceSample]) -> int:
     computed from it, is deleted too; `pair` writes it again. Raises OSError if a file cannot be
     read or written.
     """
-    removed = {_key(sample) for sample in samples}
-    count = 0
+    removed, count = {_key(sample) for sample in samples}, 0
     for path in day_files(session) if removed else []:
         rows, _ = read_day(path)
         remaining = [row for row in rows if _key(row) not in removed]

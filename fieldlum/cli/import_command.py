@@ -97,6 +97,7 @@ def command(
         raise click.UsageError("--column and --sensitivity need a logger's file: --irradiance FILE")
     from fieldlum.capture import import_card
     from fieldlum.core.records import counted
+    from fieldlum.session.files.pairs_csv import PairsFile
 
     clocks = {"utc_offset_s": utc_offset_s, "logger_utc_offset_s": logger_utc_offset_s}
     of_logger: dict[str, Any] = {"logger": irradiance_file, "columns": dict(columns) or None}
@@ -112,6 +113,7 @@ def command(
     if report.known:
         line += f"; {report.known} brackets were already imported"
     click.echo(f"{session.root}: {line}")
+    terminal.notes(PairsFile.find(session.pairs).pair_again)
 
 
 def _summary(report: Report) -> list[str]:

@@ -46,6 +46,7 @@ def command(
           --occupancy, or off. [default: as in captures without a mark]
     """
     from fieldlum.optics.projection import compass_name
+    from fieldlum.session.files.pairs_csv import PairsFile
     from fieldlum.year.predict import run
 
     with progress("predict"):
@@ -67,6 +68,8 @@ def command(
     if not new:
         same = "this year was predicted from the same model, weather and settings"
         notes.insert(0, f"nothing to do: {same} (--force predicts it again)")
+    # of the model's session; a model elsewhere has no such file
+    notes += PairsFile.find(model_folder.resolve().parent.parent / "pairs.csv").pair_again
     for text in () if as_json else (*summary.model_warnings, *notes):
         say(text)
     lines = [f"{summary.hours} daylight hours in {annual.folder / 'hourly.csv'}"]

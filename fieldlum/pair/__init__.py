@@ -26,6 +26,7 @@ from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.view import patch_rays
 from fieldlum.session import Session, marks, remove_scraps, replacing_path, sha256
 from fieldlum.session.codec import current_note, digest, write_object
+from fieldlum.session.day_files import light_digests
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
@@ -220,6 +221,8 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
     completed = _complete_suns(session, setup, *used, force, scheduler)
     for k, row in zip(usable, completed, strict=True):
         rows[k] = row
+    inputs = light_digests(session, {b.slot: b.t_utc for b in brackets})
+    rows = [replace(row, inputs=inputs[b.slot]) for b, row in zip(brackets, rows, strict=True)]
     PairsFile(session.pairs, tuple(rows)).write()
     return rows
 

@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import SiteFile
+from fieldlum.core.records import SiteFile, counted
 from fieldlum.optics import profiles
 from fieldlum.report import sections
 from fieldlum.report.page import Page, Section, Table, class_name, direction_name, render, sentence
 from fieldlum.session import Session, sha256
 from fieldlum.session.files.model_files import ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.files.sidecar import of_other_profile
 from fieldlum.session.folder import DeviceTable
 from fieldlum.version import __version__
 from fieldlum.year.glare.standards import CLASSES
@@ -70,7 +71,8 @@ def _reported(device: DeviceTable) -> str:
 def _instruments(session: Session, setup: SiteFile) -> Table:
     """Return the table of camera and pyranometer with their calibrations, as far as stated.
 
-    A camera profile that cannot be read is named in the table.
+    A camera profile that cannot be read is named in the table, and that of panoramas which were
+    merged with another one.
     """
     pyranometer, devices = setup.pyranometer, session.table().get("devices", {})
     serial = _reported(devices.get("pyranometer", {}))
@@ -90,6 +92,11 @@ def _instruments(session: Session, setup: SiteFile) -> Table:
         }
     except InputError as error:
         rows = {"camera": f"cannot tell: {error}"}
+    if others := of_other_profile(session):
+        profile = others[0].profile
+        of_these = f"{counted(len(others), 'panorama')} of profile {profile.get('name', '')}"
+        again = "so the profile above is not that of the results: merge, pair and train again"
+        rows["results"] = f"{of_these}, sha256 {profile['sha256']}, {again}"
     rows |= {
         "camera, as it reported itself": _reported(devices.get("camera", {})) or "not recorded",
         "pyranometer": f"{pyranometer.kind} {pyranometer.profile} {serial}".strip() or "not stated",

@@ -519,6 +519,7 @@ def warnings_of(session: Session, year: Annual | None) -> list[str]:
     with suppress(InputError):  # the profile can be missing where only the report is written again
         profile = profiles.load_camera_profile(camera.profile)
         texts += filter(None, [profiles.uncalibrated_text(profile)])
+    texts += PairsFile.find(session.pairs).pair_again
     if year is not None:
         weather, of_model = year.summary.weather, year.summary.model_warnings
         texts += [f"From training: {text.removeprefix('WARNING: ')}" for text in of_model]

@@ -5,13 +5,16 @@ import io
 import math
 import os
 import zlib
-from datetime import UTC
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from fieldlum.core import files
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import IrradianceSample, parse_utc, utc_text
+from fieldlum.session.codec import data_digest
 from fieldlum.session.folder import Session
+from fieldlum.session.journal import marks
 from fieldlum.session.safe_paths import open_inside, refuse_link
 
 QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
@@ -129,3 +132,19 @@ def read_day(path: Path) -> tuple[list[IrradianceSample], int]:
             elif line.removeprefix(b"\xef\xbb\xbf").rstrip() != _DAY_HEADER.rstrip():
                 damaged += 1
     return samples, damaged
+
+
+def light_digests(session: Session, times: Mapping[str, datetime]) -> dict[str, str]:
+    """Return a digest for each slot id: of what the session now has of the slot's light.
+
+    This is the mark of the slot, and the lines that were logged within 5 minutes of its time, so
+    that lines that a running log adds later do not count. times: by slot id. Raises OSError if a
+    file cannot be read.
+    """
+    span, marked = [timedelta(minutes=k) for k in range(-5, 6)], marks(session)
+    near = {s: [utc_text(t + step)[:16].encode() for step in span] for s, t in times.items()}
+    lines: dict[bytes, list[bytes]] = {m: [] for minutes in near.values() for m in minutes}
+    for path in day_files(session):
+        for line in files.read_bytes(path).splitlines():
+            lines.get(line[:16], []).append(line)
+    return {s: data_digest(marked.get(s), [lines[m] for m in near[s]])[:12] for s in near}

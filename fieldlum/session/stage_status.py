@@ -6,6 +6,7 @@ from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, Slot, utc_text
 from fieldlum.session import Session, day_files
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.files.sidecar import of_other_profile
 from fieldlum.session.journal import damaged_lines
 from fieldlum.session.slot_states import SETTLED, SlotStates, read_slot_states, slots_to_do
 
@@ -18,26 +19,30 @@ def stage_status(session: Session) -> JsonTable:
     next: id of a slot or None; device_lost, clock_steps, suspends: numbers of events;
     damaged_lines: line numbers in the journal. irradiance: numbers of days and rows, last (date or
     None), cleaned (whether clean.csv exists). merge, pair: numbers of panoramas done and owed; pair
-    also: of usable rows. train: models, the names. predict: years, the names. report: done (bool).
-    next_step: see `next_step`. Raises InputError for a file of the session that cannot be used,
-    OSError for one that cannot be read.
+    also: of usable rows; pairs whose irradiance or mark changed since are owed, and so are
+    panoramas of another camera profile. train: models, the
+    names. predict: years, the names. report: done (bool). next_step: see `next_step`. Raises
+    InputError for a file of the session that cannot be used, OSError for one that cannot be read.
     """
     slots, recorded = session.slots(), read_slot_states(session)
     states = {slot.id: recorded.state(slot.id) for slot in slots}
     captured = {slot for slot, state in states.items() if state.frames and state.outcome in SETTLED}
     merged = {path.stem for path in session.panorama_files()}
+    stale = {sidecar.slot for sidecar in of_other_profile(session)} & captured
     pairs = PairsFile.find(session.pairs)
     # `simulate` writes pairs of its truth, which are no pairs of merged panoramas.
     pictures = [Path(row.panorama) for row in pairs.rows]
-    paired = {path.stem for path in pictures if path.parts[:1] == (session.panoramas.name,)}
+    outdated = pairs.outdated
+    paired = {p.stem for p in pictures if p.parts[:1] == (session.panoramas.name,)} - outdated
+    usable = [row for row in pairs.usable if Path(row.panorama).stem not in outdated]
     answer = {
         "session": str(session.root),
         "name": session.site_file().site.name,
         "plan": _plan_status(session, slots),
         "capture": _capture_status(session, slots, recorded),
         "irradiance": _irradiance_status(session),
-        "merge": {"done": len(merged), "owed": len(captured - merged)},
-        "pair": {"done": len(paired), "usable": len(pairs.usable), "owed": len(merged - paired)},
+        "merge": {"done": len(merged - stale), "owed": len(captured - (merged - stale))},
+        "pair": {"done": len(paired), "usable": len(usable), "owed": len(merged - paired)},
         "train": {"models": [path.name for path in session.model_folders()]},
         "predict": {"years": sorted(p.name for p in session.annual.glob("*") if p.is_dir())},
         "report": {"done": (session.report / "index.html").is_file()},

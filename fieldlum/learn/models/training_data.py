@@ -296,7 +296,7 @@ def load_pairs(where: Path | Session, site: Path | None = None) -> Dataset:
         raise InputError(path, "no such file", "a pairs.csv", remedy)
     setup = _find_setup(path, site)
     pairs = PairsFile.read(path)
-    rows, notes = _usable_rows(pairs), list(pairs.warnings)
+    rows, notes = _usable_rows(pairs), [*pairs.warnings, *pairs.pair_again]
     if pairs.refused:
         notes.append(f"left out: {counted(len(pairs.refused), 'row')} with ok = 0")
     dark = [row for row in rows if row.dni_wm2 + row.dhi_wm2 <= 0.0]

@@ -11,14 +11,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import parse_utc
+from fieldlum.core.records import counted, parse_utc
 from fieldlum.core.strict_csv import IRRADIANCE_LIMITS_WM2, read_table
 from fieldlum.session.codec import check_format, read_row, sealed, warn_if_changed, write_csv
+from fieldlum.session.day_files import light_digests
 from fieldlum.session.folder import Session
 from fieldlum.session.safe_paths import refuse_link, refuse_outside
 
 FORMAT = 1  # of the file; docs/file-formats.md
-NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # time of a row with ok = 0 whose own time is unreadable
+NO_TIME = datetime(1, 1, 2, tzinfo=UTC)  # time of a row with ok = 0 whose own time is unreadable
 _REMEDY = "correct that cell, or set ok = 0"
 
 
@@ -33,8 +34,9 @@ class PairRow:
     irradiance over its mean; sun_in_map: whether the pictures contain the disc; refraction: False
     for a rendering that shows the sun at its true altitude; ok: whether the row may be used; why:
     the reason if not, or a caution; doubtful: whether a usable row's irradiance is too uncertain to
-    judge pictures by; format: version of the file; state: of the room, such as lamp=on; line:
-    number of the line in the csv, from 1, 0 if not read.
+    judge pictures by; format: version of the file; inputs: `light_digests` of when `pair` wrote
+    the row, "" if another program or version did; state: of the room, such as lamp=on; line: number
+    of the line in the csv, from 1, 0 if not read.
     """
 
     t_utc: datetime
@@ -52,6 +54,7 @@ class PairRow:
     why: str = ""
     doubtful: bool = False
     format: int = FORMAT
+    inputs: str = ""
     state: str = ""
     refraction: bool = True
     line: int = 0
@@ -79,6 +82,23 @@ class PairsFile:
     def refused(self) -> tuple[PairRow, ...]:
         """Rows with ok = 0, which training ignores; `why` has the reason."""
         return tuple(row for row in self.rows if not row.ok)
+
+    @property
+    def outdated(self) -> frozenset[str]:
+        """Slots whose logged irradiance or mark changed since `pair` wrote the file.
+
+        Rows without `inputs` do not count. Raises OSError if a file of the session cannot be read.
+        """
+        rows = {Path(row.panorama).stem: row for row in self.rows if row.inputs}
+        times = {slot: row.t_utc for slot, row in rows.items()}
+        now = light_digests(Session(self.path.parent), times)
+        return frozenset(slot for slot, row in rows.items() if row.inputs != now[slot])
+
+    @property
+    def pair_again(self) -> list[str]:
+        """A warning if a row is `outdated`; else the list is empty."""
+        count, what = len(self.outdated), "irradiance or mark changed after pair"
+        return [f"WARNING: {counted(count, 'pair')}: {what}: run fieldlum pair again"][: count > 0]
 
     @classmethod
     def read(cls, path: Path) -> PairsFile:
@@ -140,8 +160,8 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         t_utc = NO_TIME
         with suppress(ValueError):
             t_utc = parse_utc(cells["t_utc"])
-        panorama, why = cells["panorama"], cells.get("why", "")
-        return PairRow(t_utc, panorama, math.nan, math.nan, ok=False, why=why, line=line)
+        more = {name: cells.get(name, "") for name in ("why", "inputs")}
+        return PairRow(t_utc, cells["panorama"], math.nan, math.nan, ok=False, line=line, **more)
     all_cells = {"doubtful": _was_doubtful(cells), **cells, "line": str(line)}
     row = read_row(PairRow, where, all_cells, _REMEDY)
     check_format(path, row.format, FORMAT)

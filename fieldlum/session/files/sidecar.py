@@ -14,6 +14,7 @@ from fieldlum.core.errors import ChangedFileWarning, InputError
 from fieldlum.core.files import sha256
 from fieldlum.core.records import Exposure, JsonTable, require_known_year
 from fieldlum.optics.exposure import ShutterLaw
+from fieldlum.optics.profiles import find_camera_profile
 from fieldlum.session.codec import JsonFile, Utc, convert, read_object
 from fieldlum.session.folder import Session
 from fieldlum.session.plan_file import exposure_text, parse_exposure
@@ -250,6 +251,19 @@ def readable_sidecars(paths: Iterable[Path]) -> Iterator[Sidecar]:
     for path in paths:
         with suppress(InputError):
             yield Sidecar.read(path)
+
+
+def of_other_profile(session: Session) -> list[Sidecar]:
+    """Return the sidecars of panoramas that merge would write again, with the present profile.
+
+    These were merged with a camera profile of another content than session.toml now names. The list
+    is empty if that profile is missing, or wrong in session.toml.
+    """
+    with suppress(InputError, OSError):
+        now = sha256(find_camera_profile(session.site_file().camera.profile))
+        sidecars = readable_sidecars(session.sidecar_files())
+        return [sidecar for sidecar in sidecars if sidecar.profile.get("sha256", now) != now]
+    return []
 
 
 def newest_sidecar(session: Session) -> Sidecar | None:
