@@ -22,6 +22,7 @@ from fieldlum.capture.match_card import (
     CardFrame,
     Group,
     Offset,
+    exif_note,
     find_offset,
     group_frames,
     match_groups,
@@ -360,6 +361,48 @@ def test_a_file_told_anew_replaces_what_it_brought(session: Session, tmp_path: P
     assert len(rows_of(session)) == 171
     kept = sorted((session.irradiance / "withdrawn").iterdir())
     assert [len(read_day(path)[0]) for path in kept] == [170, 170]
+
+
+@pytest.mark.analytic
+def test_late_people_are_no_error_of_the_clock() -> None:
+    """Brackets 8 to 18 minutes late are all near slots by civil time: UTC -06:45 is no clock's."""
+    shifts = random.Random(1)
+    groups = [
+        Group(tuple(frames_at(slot.t_utc + timedelta(seconds=PDT_S + shifts.uniform(480, 1080)))))
+        for slot in PLAN
+    ]
+    found = find_offset(groups, PLAN, [PDT_S, 0.0])
+    assert found is not None and found.seconds == PDT_S and "UTC -06:45" in found.how
+    assert refine_offset(groups, PLAN, found).seconds == PDT_S
+    timer = [Group(tuple(frames_at(slot.t_utc + timedelta(seconds=PDT_S + 900)))) for slot in PLAN]
+    found = find_offset(timer, PLAN, [PDT_S, 0.0])
+    assert found is not None and refine_offset(timer, PLAN, found).seconds == PDT_S + 900
+    other = [Group(tuple(frames_at(slot.t_utc + timedelta(hours=2.75)))) for slot in PLAN]
+    found = find_offset(other, PLAN, [PDT_S, 0.0])
+    assert found is not None and found.seconds == 2.75 * 3600
+    assert "no civil time of the place" in found.how
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(("offset_s", "is_noted"), [(-8 * 3600.0, True), (PDT_S, False)])
+def test_an_offset_in_exif_that_is_no_civil_time_is_noted(offset_s: float, is_noted: bool) -> None:
+    setup = SiteFile(SEATTLE)
+    frames = [replace(frame, exif_offset_s=offset_s) for frame in frames_at(PLAN[0].t_utc)]
+    note = exif_note([Group(tuple(frames))], PLAN, setup, None)
+    told = "EXIF states UTC -08:00, but civil time of the place is UTC -07:00"
+    assert note.startswith(told) if is_noted else note == ""
+
+
+@pytest.mark.contract
+def test_a_card_of_the_day_before_is_named(tmp_path: Path) -> None:
+    plan = [replace(slot, t_utc=slot.t_utc + timedelta(days=d)) for d in (0, 1) for slot in PLAN]
+    two_days = create_session(tmp_path / "two", SiteFile(SEATTLE), plan, {})
+    write_card(tmp_path / "early", card(plan, PDT_S - 86400.0))
+    report = import_card.run(two_days, tmp_path / "early")
+    told = (
+        "12 of 24 brackets are near slots; with an offset changed by -24 h it would be 24: WARNING"
+    )
+    assert any(told in note and 'AllDates+="0:0:1' in note for note in report.notes), report.notes
 
 
 @pytest.mark.contract

@@ -194,12 +194,19 @@ def find_offset(
     """Return the camera's clock minus UTC, fitted to the plan.
 
     groups: the card's brackets; slots: of the plan; expected_s: likely offsets [s], most likely
-    first: the first that fits is used if several offsets fit equally well. Return None if no offset
+    first: the first that fits is used if several offsets fit equally well, or if as many brackets
+    are within 20 minutes of slots with it, because people start late. Return None if no offset
     fits, or if several fit and none of them is expected.
     """
     fitting_s = fitting_offsets(groups, slots)
+    rivals = [_near_slots(groups, slots, offset_s) for offset_s in fitting_s]
+    usual_s = [offset_s for offset_s in expected_s[:1] if offset_s not in fitting_s]
+    if rivals and usual_s and _near_slots(groups, slots, usual_s[0]) >= max(rivals):
+        how = f"civil time of the place; UTC {offsets_text(fitting_s)} would fit the plan better"
+        return Offset(usual_s[0], f"{how}: if you know the offset, state it with --utc-offset")
     if len(fitting_s) == 1:
-        return Offset(fitting_s[0], "fitted to the plan")
+        unusual = "" if fitting_s[0] in expected_s else ", but no civil time of the place: check it"
+        return Offset(fitting_s[0], f"fitted to the plan{unusual}")
     chosen_s = next((offset_s for offset_s in expected_s if offset_s in fitting_s), None)
     if chosen_s is None:
         return None
@@ -330,16 +337,22 @@ def _exif_offsets_s(groups: Sequence[Group]) -> tuple[float, ...]:
     return tuple(sorted(offset_s for offset_s in stated if offset_s is not None))
 
 
-def exif_note(groups: Sequence[Group], stated_s: float | None) -> str:
+def exif_note(
+    groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile, stated_s: float | None
+) -> str:
     """Return a note if EXIF's offset differs by over a minute from that which the user states.
 
-    groups: whose frames have EXIF; stated_s: the user's offset [s], None if none. The text is ""
-    without such a difference.
+    groups: whose frames have EXIF; stated_s: the user's offset [s], None if none: then EXIF's is
+    compared with civil time on the days of the brackets. The text is "" without such a difference.
     """
     offsets_s = _exif_offsets_s(groups)
-    if stated_s is None or all(abs(offset_s - stated_s) <= 60.0 for offset_s in offsets_s):
+    other_s = _expected_s(groups, slots, setup)[0] if stated_s is None else stated_s
+    if all(abs(offset_s - other_s) <= 60.0 for offset_s in offsets_s):
         return ""
     exif = f"EXIF states UTC {offsets_text(offsets_s)}"
+    if stated_s is None:
+        civil = f"civil time of the place is UTC {offset_text(other_s)}"
+        return f"{exif}, but {civil}: if the clock showed civil time, state --utc-offset"
     stated = f"--utc-offset {offset_text(stated_s)} was used"
     return f"{stated}, but {exif}: if that is right, import without it"
 
@@ -457,10 +470,14 @@ def offset_contradiction(
     near = {hour: _near_slots(groups, slots, offset.seconds + 3600.0 * hour) for hour in _HOURS}
     best_hour = max(near, key=near.__getitem__)
     if near[best_hour] >= near[0] + _EVIDENCE:
+        remedy = "check the camera's clock and date, and state --utc-offset"
+        if abs(best_hour) == 24:
+            days = f'exiftool -AllDates{"+-"[best_hour > 0]}="0:0:1 0:0:0" FOLDER'
+            remedy = f"WARNING: the dates are a day wrong: correct them and import again: {days}"
         return (
             f"with the offset of the camera's clock ({offset.how}), {near[0]} of {len(groups)} "
             f"brackets are near slots; with an offset changed by {best_hour:+g} h it "
-            f"would be {near[best_hour]}: check the camera's clock and date, and state --utc-offset"
+            f"would be {near[best_hour]}: {remedy}"
         )
     if len(parts := clock_parts(groups, slots, zone)) == 1:
         return ""

@@ -160,8 +160,8 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         t_utc = NO_TIME
         with suppress(ValueError):
             t_utc = parse_utc(cells["t_utc"])
-        more = {name: cells.get(name, "") for name in ("why", "inputs")}
-        return PairRow(t_utc, cells["panorama"], math.nan, math.nan, ok=False, line=line, **more)
+        row = PairRow(t_utc, cells["panorama"], math.nan, math.nan, ok=False, line=line)
+        return replace(row, why=cells.get("why", ""), inputs=cells.get("inputs", ""))
     all_cells = {"doubtful": _was_doubtful(cells), **cells, "line": str(line)}
     row = read_row(PairRow, where, all_cells, _REMEDY)
     check_format(path, row.format, FORMAT)
