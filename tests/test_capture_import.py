@@ -22,7 +22,7 @@ from fieldlum.capture.match_card import (
     CardFrame,
     Group,
     Offset,
-    exif_note,
+    clock_offset,
     find_offset,
     group_frames,
     match_groups,
@@ -388,9 +388,10 @@ def test_late_people_are_no_error_of_the_clock() -> None:
 def test_an_offset_in_exif_that_is_no_civil_time_is_noted(offset_s: float, is_noted: bool) -> None:
     setup = SiteFile(SEATTLE)
     frames = [replace(frame, exif_offset_s=offset_s) for frame in frames_at(PLAN[0].t_utc)]
-    note = exif_note([Group(tuple(frames))], PLAN, setup, None)
-    told = "EXIF states UTC -08:00, but civil time of the place is UTC -07:00"
-    assert note.startswith(told) if is_noted else note == ""
+    found = clock_offset([Group(tuple(frames))], PLAN, setup, None)
+    told = "stated in EXIF, but civil time of the place is UTC -07:00: if the clock showed that"
+    assert found.exif_s == (offset_s,) and found.seconds == 0.0
+    assert found.how.startswith(told) if is_noted else found.how == "stated in EXIF"
 
 
 @pytest.mark.contract

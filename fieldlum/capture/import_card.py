@@ -76,7 +76,7 @@ def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> 
             left_out.append(f"{files}: {error.found}; {error.remedy}")
             continue
         clocks.append((part, offset))
-        notes.append(match_card.exif_note(part, slots, setup, utc_offset_s))
+        notes.append(match_card.exif_note(part, utc_offset_s))
         notes.append(match_card.offset_contradiction(part, slots, offset, zone))
     if refused and clocks:  # a part that matches nothing can show what is wrong with all
         notes.append(match_card.offset_contradiction(groups, slots, clocks[0][1], zone))

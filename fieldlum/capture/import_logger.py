@@ -4,7 +4,6 @@ A repeated import with another clock or other columns replaces the earlier rows.
 quantities at the same times are added to them.
 """
 
-import math
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
@@ -135,9 +134,10 @@ def _read_as(path: Path, table: LoggerFileTable) -> LoggerFile:
     return read_logger_file(path, offset, table.get("columns"), table.get("sensitivities"))
 
 
-def add_samples(
-    session: Session, samples: Iterable[IrradianceSample]
-) -> tuple[int, dict[IrradianceSample, IrradianceSample]]:
+_Rows = dict[IrradianceSample, IrradianceSample]
+
+
+def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> tuple[int, _Rows]:
     """Append the readings that add to the day files; return their number, and contradicted rows.
 
     A reading adds to them if its time is not stored, or if no row of its time has a quantity that
@@ -146,8 +146,7 @@ def add_samples(
     irradiance differs from that of `samples` at the same time; each has its copy without it.
     Raises OSError if a day file cannot be read or written, InputError as `DayFiles` does.
     """
-    paths, count = {path.stem: path for path in day_files(session)}, 0
-    others: dict[IrradianceSample, IrradianceSample] = {}
+    paths, count, others = {path.stem: path for path in day_files(session)}, 0, _Rows()
     # Equal readings in sequence come from a table that contains a copy of itself.
     ordered = [sample for sample, _ in groupby(sorted(samples, key=lambda s: s.t_utc))]
     with closing(DayFiles(session, flush=False)) as log:
@@ -170,9 +169,8 @@ def add_samples(
 
 def _numbers(sample: IrradianceSample) -> set[tuple[str, float]]:
     """Return name and value [W/m2] of a reading's irradiances, as a day file stores them."""
-    names = ("ghi_wm2", "dhi_wm2", "dni_wm2")
-    values = ((name, getattr(sample, name)) for name in names)
-    return {(n, float(f"{v:.7g}")) for n, v in values if v is not None and math.isfinite(v)}
+    values = ((n, getattr(sample, n)) for n in ("ghi_wm2", "dhi_wm2", "dni_wm2"))
+    return {(n, float(f"{value:.7g}")) for n, value in values if value is not None}
 
 
 def remove_rows(session: Session, samples: Iterable[IrradianceSample]) -> int:

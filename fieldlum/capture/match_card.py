@@ -307,7 +307,10 @@ def clock_offset(
         offset = Offset(stated_s, "--utc-offset")
     elif exif_states_offset(groups):
         # `CardFrame.t_camera` is then UTC.
-        offset = Offset(0.0, "stated in EXIF", _exif_offsets_s(groups))
+        exif_s, civil_s = _exif_offsets_s(groups), _expected_s(groups, slots, setup)[0]
+        civil = f", but civil time of the place is UTC {offset_text(civil_s)}: if the clock showed "
+        civil = "" if exif_s == (civil_s,) else f"{civil}that, state --utc-offset"
+        offset = Offset(0.0, f"stated in EXIF{civil}", exif_s)
     else:
         offset = find_offset(groups, slots, _expected_s(groups, slots, setup))
     if offset is not None:
@@ -337,22 +340,16 @@ def _exif_offsets_s(groups: Sequence[Group]) -> tuple[float, ...]:
     return tuple(sorted(offset_s for offset_s in stated if offset_s is not None))
 
 
-def exif_note(
-    groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile, stated_s: float | None
-) -> str:
+def exif_note(groups: Sequence[Group], stated_s: float | None) -> str:
     """Return a note if EXIF's offset differs by over a minute from that which the user states.
 
-    groups: whose frames have EXIF; stated_s: the user's offset [s], None if none: then EXIF's is
-    compared with civil time on the days of the brackets. The text is "" without such a difference.
+    groups: whose frames have EXIF; stated_s: the user's offset [s], None if none. The text is ""
+    without such a difference.
     """
     offsets_s = _exif_offsets_s(groups)
-    other_s = _expected_s(groups, slots, setup)[0] if stated_s is None else stated_s
-    if all(abs(offset_s - other_s) <= 60.0 for offset_s in offsets_s):
+    if stated_s is None or all(abs(offset_s - stated_s) <= 60.0 for offset_s in offsets_s):
         return ""
     exif = f"EXIF states UTC {offsets_text(offsets_s)}"
-    if stated_s is None:
-        civil = f"civil time of the place is UTC {offset_text(other_s)}"
-        return f"{exif}, but {civil}: if the clock showed civil time, state --utc-offset"
     stated = f"--utc-offset {offset_text(stated_s)} was used"
     return f"{stated}, but {exif}: if that is right, import without it"
 
@@ -472,8 +469,8 @@ def offset_contradiction(
     if near[best_hour] >= near[0] + _EVIDENCE:
         remedy = "check the camera's clock and date, and state --utc-offset"
         if abs(best_hour) == 24:
-            days = f'exiftool -AllDates{"+-"[best_hour > 0]}="0:0:1 0:0:0" FOLDER'
-            remedy = f"WARNING: the dates are a day wrong: correct them and import again: {days}"
+            remedy = "WARNING: the dates are a day wrong: correct them and import again: "
+            remedy += f'exiftool -AllDates{"+-"[best_hour > 0]}="0:0:1 0:0:0" FOLDER'
         return (
             f"with the offset of the camera's clock ({offset.how}), {near[0]} of {len(groups)} "
             f"brackets are near slots; with an offset changed by {best_hour:+g} h it "

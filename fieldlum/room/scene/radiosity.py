@@ -276,10 +276,7 @@ def joined(s: SurfaceSamples) -> tuple[SurfaceSamples, Ints64]:
 
 
 def near_light(
-    places: tuple[Floats, Ints64],
-    points: tuple[Floats, Ints64],
-    count: int,
-    reach_m: Floats,
+    places: tuple[Floats, Ints64], points: tuple[Floats, Ints64], count: int, reach_m: Floats
 ) -> Any:
     """Return the matrix that averages the light of m points at n places, CSR [n, m], rows sum to 1.
 

@@ -90,8 +90,7 @@ class PairsFile:
         Rows without `inputs` do not count. Raises OSError if a file of the session cannot be read.
         """
         rows = {Path(row.panorama).stem: row for row in self.rows if row.inputs}
-        times = {slot: row.t_utc for slot, row in rows.items()}
-        now = light_digests(Session(self.path.parent), times)
+        now = light_digests(Session(self.path.parent), {s: r.t_utc for s, r in rows.items()})
         return frozenset(slot for slot, row in rows.items() if row.inputs != now[slot])
 
     @property

@@ -40,13 +40,7 @@ from fieldlum.sky.sky_view.sky_directions import (
     sun_in_front,
 )
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
-from fieldlum.sky.sky_view.view import (
-    LENS_PIXEL_DEG,
-    REACH_DAYS,
-    SkyView,
-    between,
-    undecided_u,
-)
+from fieldlum.sky.sky_view.view import LENS_PIXEL_DEG, REACH_DAYS, SkyView, between, undecided_u
 from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours, efficacy_u
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
