@@ -42,7 +42,7 @@ def import_rows(
 ) -> Report:
     """Add the rows of a logger's file to the day files; return how many were added and removed.
 
-    `add_samples` says which rows are added. Rows that an earlier import of a file of this name read
+    `add_samples` states which rows are added. Rows that an earlier import of this file read
     with another clock or other columns are removed; `replace_others` also removes stored values
     that the file contradicts. utc_offset_s: the logger's clock minus UTC [s], if the file does not
     state it. columns: name of the column for each

@@ -28,7 +28,9 @@ def stage_status(session: Session) -> JsonTable:
     states = {slot.id: recorded.state(slot.id) for slot in slots}
     captured = {slot for slot, state in states.items() if state.frames and state.outcome in SETTLED}
     merged = {path.stem for path in session.panorama_files()}
-    stale = {sidecar.slot for sidecar in of_other_profile(session)} & captured
+    # `merge` merges these again, if their frames are still there
+    frames = {folder.name for folder in session.captured_folders() if any(folder.glob("*.*[!n]"))}
+    stale = {sidecar.slot for sidecar in of_other_profile(session)} & captured & frames
     pairs = PairsFile.find(session.pairs)
     # `simulate` writes pairs of its truth, which are no pairs of merged panoramas.
     pictures = [Path(row.panorama) for row in pairs.rows]
