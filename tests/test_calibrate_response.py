@@ -13,7 +13,7 @@ from fieldlum.calibrate import (
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.optics.camera_curves import response_table
-from fieldlum.optics.exposure import true_times_s
+from fieldlum.optics.exposure import ShutterLaw, true_times_s
 from fieldlum.optics.profiles import (
     CameraBody,
 )
@@ -164,3 +164,36 @@ def test_noise_of_a_phone_hides_no_wrong_label(
     true = np.diff(np.log(sorted(true_s.values())))
     found = np.diff(places.log_exposure)
     assert found - true * (found @ true) / (true @ true) == pytest.approx(0.0, abs=0.015)
+
+
+def _gathered(table: np.ndarray, step: float) -> response.Places:
+    """Places of nearly one brightness, as of a lit wall, in steps of `step` stops: codes gather in
+    bands, with noise of 2 codes.
+    """
+    rng = np.random.default_rng(0)
+    log_e = np.log(2.0) * np.arange(-9.0, 2.0, step)
+    light = np.exp(0.15 * rng.normal(size=(400, 1, 1)) + log_e[:, None])
+    exact = np.interp(light * np.array([0.8, 1.0, 0.7]), table, np.arange(256.0))
+    codes = np.rint(exact + 2.0 * rng.normal(size=exact.shape)).clip(0, 255).astype(np.uint8)
+    law, steps = ShutterLaw("exact", "profile", {}), response.Steps(log_e, 0.0 * log_e[1:])
+    return response.Places(codes, log_e, np.zeros(400, int), law, steps, ())
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_equal_steps_leave_no_scallops_in_a_curve(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A curve that is flat where codes gather and steep between them had the least held-out rms."""
+    code = np.arange(256) / 255
+    truth = 0.6 * code**2.6 + 0.25 * code**1.5 + 0.15 * code**5
+    places, fine = _gathered(truth, 1.0), _gathered(truth, 1 / 3)
+    found = response.fit(places)
+    used = np.s_[found.response.low_code : response.HIGH + 1]
+    own = np.gradient(np.log(response_table("table", found.response.green)))[used]
+    own /= np.gradient(np.log(np.maximum(truth, 1e-9)))[used]
+    assert own.min() > 0.8 and own.max() < 1.25
+    assert "ripple" not in found.choice.line
+    monkeypatch.setattr(response, "_STIFFNESSES", (300.0,))
+    scalloped = response.fit(places)
+    assert "CAUTION: the curve has a ripple of 6 %" in scalloped.choice.line
+    assert scalloped.response.u_rel > 1.3 * scalloped.choice.rms
+    assert "ripple" not in response.fit(fine).choice.line  # the remedy

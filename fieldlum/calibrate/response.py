@@ -24,7 +24,9 @@ from fieldlum.optics.raw import frame_files, is_jpeg, read_jpeg
 
 # Codes that count for the residual, and have weight in a merge: the profile's defaults.
 LOW, HIGH = Response().low_code, Response().high_code
-_STIFFNESSES = (3000.0, 300.0, 30.0, 3.0)  # of the tables that are tried
+# of the tables that are tried; a stiffer first one hides bends of a phone's curve (simulated)
+_STIFFNESSES = (1e5, 1e4, 1e3, 1e2, 10.0)
+_MAX_RIPPLE = 0.01  # rms, ln of light: chosen curves of two cameras and of simulations: to 0.0072
 _NO_SPREAD = 255  # replaces the spread of codes in a block with a code outside LOW to HIGH
 _PLACES_OF_STEP = 250  # u of the median is a 13th of that of one place; chosen
 _MAX_SCATTER = 4.0  # chosen: a place with two frames passes with 99 % if it has only noise
@@ -342,15 +344,23 @@ def _spread_indices(level: Floats, count: int) -> Indices:
 # fit
 
 
-def place_variances(table: Floats, codes: UInts8, log_e: Floats, low: int = LOW) -> Floats:
+def place_variances(
+    table: Floats, codes: UInts8, log_e: Floats, low: int = LOW, scale: Floats | None = None
+) -> Floats:
     """Return the variance of ln(z / exposure) over the frames of each place, [places].
 
     With the right table it contains only noise, because the light of a place is the same in all
     frames. table [256]: linear light z of each code; codes [places, frames]: those of one colour;
     log_e [frames]: ln of exposure. Codes from `low` to 228 count; NaN for places with fewer than
-    two.
+    two. scale [256]: another table, whose light states the difference between a code and the code
+    that `table` expects. Errors of several tables are comparable only on a common scale: on its
+    own, a curve gains by being flat where most codes are and steep between them.
     """
     off = _off_mean(table, codes, log_e, low)
+    if scale is not None:
+        log_z, log_scale = (np.log(np.maximum(z, 1e-9)) for z in (table, scale))
+        rising = log_z + 1e-9 * np.arange(256)
+        off = log_scale[codes] - np.interp(log_z[codes] - off, rising, log_scale)
     freedom = np.isfinite(off).sum(axis=1) - 1
     none = np.full(len(off), np.nan)
     return np.divide(np.nansum(off**2, axis=1), freedom, out=none, where=freedom > 0)
@@ -373,9 +383,11 @@ def fit(places: Places) -> ResponseFit:
     """Fit the response: standard curves, then monotone tables from stiff to flexible.
 
     Held-out places choose among them. Complete brackets are held out if there are three or more,
-    else an eighth of the places at a time. If the darkest codes do not follow the light (because of
-    a black level), low_code rises to the first code that does. Raises NotEnoughDataError for fewer
-    than 20 places that are well exposed in two frames.
+    else an eighth of the places at a time. The errors of all tables are stated in the light of the
+    stiffest. If the darkest codes do not follow the light (because of a black level), low_code
+    rises to the first code that does. A slope that swings with the bracket's steps increases u_rel;
+    if by much, the line of the choice has a CAUTION. Raises NotEnoughDataError for fewer than 20
+    places that are well exposed in two frames.
     """
     codes, log_e = places.codes, places.log_exposure
     low = max(LOW, *(dark_floor(codes[..., c], log_e) for c in range(3)))
@@ -392,9 +404,13 @@ def fit(places: Places) -> ResponseFit:
             return [response_table(model)] * 3
         return [fit_response(codes[rows, :, c], log_e, smooth=model)[0] for c in range(3)]
 
-    def misfit(_: str | float, tables: list[Floats], held: Mask) -> Floats:
+    stiffest = tables_of(_STIFFNESSES[0], np.ones(len(codes), bool))
+
+    def misfit(model: str | float, tables: list[Floats], held: Mask) -> Floats:
         """Return the variance of each held-out place by the tables, as a mean over colours."""
-        spreads = [place_variances(t, codes[held, :, c], log_e, low) for c, t in enumerate(tables)]
+        scales = [None] * 3 if isinstance(model, str) else stiffest
+        pairs = enumerate(zip(tables, scales, strict=True))
+        spreads = [place_variances(t, codes[held, :, c], log_e, low, s) for c, (t, s) in pairs]
         count = np.isfinite(spreads).sum(axis=0)
         total = np.nansum(spreads, axis=0)
         return np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
@@ -406,11 +422,41 @@ def fit(places: Places) -> ResponseFit:
         caution = "CAUTION: check that camera and light did not change; take the bracket again"
         choice = replace(choice, line=f"{choice.line}. {caution}")
     kind: Any = model if isinstance(model, str) else "table"
-    response = Response(kind, low_code=low, high_code=HIGH, u_rel=round(max(choice.rms, 0.001), 5))
+    ripple = _ripple(tables, places, low) if kind == "table" else 0.0
+    if ripple > _MAX_RIPPLE:
+        caution = f"CAUTION: the curve has a ripple of {100 * ripple:.0f} % with the period of the "
+        caution += "bracket's steps, which equal steps cannot tell from noise: take the bracket "
+        caution += "again with frames between them (1/3 stop), in one folder"
+        choice = replace(choice, line=f"{choice.line}. {caution}")
+    u_rel = round(float(max(np.hypot(choice.rms, ripple), 0.001)), 5)
+    response = Response(kind, low_code=low, high_code=HIGH, u_rel=u_rel)
     if kind == "table":
         red, green, blue = (tuple(np.round(table, 7).tolist()) for table in tables)
         response = replace(response, red=red, green=green, blue=blue)
     return ResponseFit(response, choice)
+
+
+def _ripple(tables: Sequence[Floats], places: Places, low: int) -> float:
+    """Return the largest rms of a colour's ripple in ln z with the period of the exposure steps.
+
+    Frames whose steps are equal do not determine it: a curve with any such ripple explains them as
+    well. tables: z [256] of the colours; places: with the steps; codes from `low` to 228 count. The
+    ripple is a sine in the logarithm of the slope, next to a cubic polynomial of ln z.
+    """
+    numbers = np.unique(places.bracket)
+    present = [places.codes[places.bracket == k].any(axis=(0, 2)) for k in numbers]
+    step = np.median(np.concatenate([np.diff(places.log_exposure[shown]) for shown in present]))
+    amplitudes = []
+    for table in tables:
+        code = np.arange(low, HIGH + 1.0)
+        log_z = np.log(np.maximum(table[low : HIGH + 1], 1e-9)) + 1e-9 * code
+        at = np.linspace(log_z[0], log_z[-1], 400)
+        slope = np.gradient(np.interp(at, log_z, code), at)  # codes for a unit of ln z
+        turn = 2.0 * np.pi * at / step
+        design = np.column_stack([at**0, at, at**2, at**3, np.cos(turn), np.sin(turn)])
+        wave = np.linalg.lstsq(design, np.log(np.maximum(slope, 1e-3)), rcond=None)[0][-2:]
+        amplitudes.append(np.hypot(*wave))
+    return float(max(amplitudes) * step / (2.0 * np.pi * np.sqrt(2.0)))
 
 
 def chart(places: Places, fit: ResponseFit) -> Chart:
