@@ -161,3 +161,19 @@ def test_an_empty_wall_tells_nothing() -> None:
     walls = [(100 * (1 + rng.normal(0, 0.002, (300, 300)))).astype(np.float32) for _ in range(2)]
     assert turns_between([reduce_frame(w, w > 0, 0.0) for w in walls], [LENS], "ab") == []
     assert turns_between([reduce_frame(walls[0], walls[0] > 0, 0.0)], [LENS], "a") == []
+
+
+@pytest.mark.analytic
+def test_noise_of_a_dark_frame_is_no_turn() -> None:
+    """The stated u was that along the axis that noise chose, and too small where few blocks have
+    points: a still camera "turned" by over three of them in five of these pairs.
+    """
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        long = _turned((0.0, 0.0, 0.0), 1.0, rng)
+        dark = (long * (1 + rng.normal(0, 0.2, long.shape))).astype(np.float32)
+        seen = [(long > 1.2) & (long < 9), dark > 0.05]
+        frames = [reduce_frame(p, s, 0.0) for p, s in zip((long, dark), seen, strict=True)]
+        (still,) = turns_between(frames, [LENS], "ab")
+        assert still.sure_px == 0.0
+        assert still.shift_px < 2.0 * still.u_px

@@ -94,8 +94,11 @@ def _turn(
 ) -> tuple[float, float] | None:
     """Return the angle between two frames and its standard error [rad]; None for too few points.
 
-    lenses: geometry of each lens on the sensor. The points are grouped by blocks of the picture,
-    because errors of neighbouring points are not independent.
+    lenses: geometry of each lens on the sensor. The standard error is that of all three angles
+    together, by leaving out one block of the picture at a time: errors of neighbouring points are
+    not independent, and in a dark frame a few blocks can determine the turn. The error along the
+    found axis alone is too small, because noise chose that axis. None too if one block alone
+    determines the turn.
     """
     from scipy.spatial.transform import Rotation
 
@@ -115,21 +118,25 @@ def _turn(
     parts = len(np.unique(block))
     if len(block) < _MIN_POINTS or parts < 5:
         return None
-    turn, covariance = Rotation.identity(), np.eye(3)
+    turn, last, block = Rotation.identity(), np.zeros(3), np.repeat(block, 3)
+
+    def fitted(kept: Mask) -> Floats:
+        """Return the small turn [3] by the kept equations; NaN if they do not determine it."""
+        fit = fit_turn(design[kept], target[kept], block[kept])
+        return np.full(3, np.nan) if fit is None else fit[0]
+
     for _ in range(3):  # a fit is linear in the turn
         turned = turn.apply(long_rays)  # [points, 3]
         # change of each vector by a small turn about each axis, [points, axes, 3]
         change = np.asarray(np.cross(np.eye(3), turned[:, None]), np.float64)
-        design = change.swapaxes(1, 2).reshape(-1, 3)
-        fit = fit_turn(design, (short_rays - turned).ravel(), np.repeat(block, 3))
-        if fit is None:
+        design, target = change.swapaxes(1, 2).reshape(-1, 3), (short_rays - turned).ravel()
+        last = fitted(block >= 0)
+        if np.isnan(last).any():
             return None
-        rotation_vector, fit_covariance = fit
-        turn = Rotation.from_rotvec(rotation_vector) * turn
-        covariance = fit_covariance * parts / (parts - 3)
-    angle_rad = turn.magnitude()
-    axis = turn.as_rotvec() / max(angle_rad, 1e-12)
-    return float(angle_rad), float(np.sqrt(max(axis @ covariance @ axis, 1e-16)))
+        turn = Rotation.from_rotvec(last) * turn
+    off = np.array([fitted(block != number) for number in np.unique(block)]) - last
+    u_rad = float(np.sqrt((off**2).sum() * (parts - 1) / parts))
+    return None if np.isnan(u_rad) else (float(turn.magnitude()), max(u_rad, 1e-8))
 
 
 def _tracked(long: ReducedFrame, short: ReducedFrame) -> tuple[Floats, Floats]:
