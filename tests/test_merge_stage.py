@@ -6,10 +6,12 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from msgspec import structs
 
 from fieldlum import merge
 from fieldlum.cli import main
@@ -39,6 +41,7 @@ from fieldlum.optics.profiles import (
 )
 from fieldlum.optics.raw.writing import write_dng
 from fieldlum.session import Session, create_session
+from fieldlum.session.files.sidecar import readable_sidecars
 
 TIMES_S = (0.5, 1 / 15, 1 / 125)
 START = datetime(2027, 3, 20, 6, 30, tzinfo=UTC)  # night in Greenwich: no sun to take out
@@ -216,6 +219,19 @@ def test_a_folder_without_capture_json_is_read_by_exif(session: Session) -> None
     (session.raw / slot / "capture.json").unlink()
     assert merge.run(session, SMALL)[0].state == "merged"
     assert read_panorama(session.panoramas / f"{slot}.exr").t_utc == START
+
+
+@pytest.mark.contract
+def test_a_long_caption_of_the_survey_stays_in_its_place(session: Session) -> None:
+    """Verdicts ran over the captions of the next brackets, so that bad ones could not be read."""
+    take(session, 0)
+    merge.run(session, SMALL)
+    (sidecar,) = readable_sidecars(session.sidecar_files())
+    long = "merged without IMG_0030.DNG, because the pixels are gone " * 3
+    told = structs.replace(sidecar, verdict=long)
+    sheet = stage._sheet(session, [told], ZoneInfo("UTC"))
+    assert (sheet[:138, 188:] == 255).all()
+    assert all((sheet[y : y + 13, :188] < 128).any() for y in (94, 107, 120))  # three lines
 
 
 @pytest.mark.contract

@@ -122,8 +122,7 @@ def _turn(
 
     def fitted(kept: Mask) -> Floats:
         """Return the small turn [3] by the kept equations; NaN if they do not determine it."""
-        fit = fit_turn(design[kept], target[kept], block[kept])
-        return np.full(3, np.nan) if fit is None else fit[0]
+        return (fit_turn(design[kept], target[kept], block[kept]) or (np.full(3, np.nan),))[0]
 
     for _ in range(3):  # a fit is linear in the turn
         turned = turn.apply(long_rays)  # [points, 3]

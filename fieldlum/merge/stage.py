@@ -7,6 +7,7 @@ from datetime import datetime
 from functools import partial
 from itertools import count
 from pathlib import Path
+from textwrap import wrap
 from zoneinfo import ZoneInfo
 
 import cv2
@@ -356,8 +357,9 @@ def merging(session: Session, options: MergeOptions) -> Iterator[Callable[[str],
 # all brackets: quality.csv and contact-1.png and so on, panoramas in false colour
 
 
-# Layout of a sheet of 1 500 px that shows a day in a few rows: a thumbnail, its place, a page.
-_WIDTH, _HEIGHT, _PLACE = 184, 92, (190, 112)
+# Layout of a sheet of 1 500 px that shows a day in a few rows: a thumbnail, its place with three
+# lines of text, a page.
+_WIDTH, _HEIGHT, _PLACE = 184, 92, (190, 138)
 _PER_ROW, _PER_PAGE = 8, 96
 
 
@@ -390,7 +392,8 @@ def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDA
         x, y = number % _PER_ROW * _PLACE[0], number // _PER_ROW * _PLACE[1]
         local = f" {sidecar.t_utc.astimezone(zone):%H:%M}" if sidecar.t_utc else ""
         label = f"{sidecar.slot}{local} {sidecar.verdict.partition(':')[0]}"
-        _write_text(sheet, label, (x + 2, y + _HEIGHT + 13))
+        for line, text in enumerate(wrap(label, 30, max_lines=3, placeholder=" ...")):
+            _write_text(sheet, text, (x + 2, y + _HEIGHT + 13 * (line + 1)))
         path = session.panorama(sidecar.slot)
         if path.is_file():
             sheet[y : y + _HEIGHT, x : x + _WIDTH] = _thumbnail(path)
