@@ -181,6 +181,22 @@ def test_a_sheet_under_the_midnight_sun_names_the_next_day() -> None:
         and page.count("<small>CEST</small>") == 23
     )
     assert "The sun neither rises nor sets today." in page
+    assert "minmax(0, 1fr)" in page  # the right column stays on the paper
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_sheet_tells_when_to_turn_the_camera_and_the_minutes_of_its_suns() -> None:
+    setup = SiteFile(SEATTLE, CameraSetup(heading_deg=20.0, headings=(20.0, 200.0)))
+    hours = daylight_hours([date(2027, 3, 20)], SEATTLE)
+    page = calendar.html(plan.make_slots(hours, setup, EXPOSURES), setup, (45.0, 50.0))
+    text = " ".join(page.split())
+    assert "at 20&deg;: all frames, then turn to 200&deg;: all frames." in text
+    assert "45 s each and time to turn, start" in text
+    still = calendar.html(plan.make_slots(hours, _setup(), EXPOSURES), _setup(), (45.0, 50.0))
+    assert "urn the camera" not in still and "to turn" not in still
+    said = calendar.sky_chart(hours, setup, date(2027, 3, 20)).axes[0].texts
+    assert all(t.get_text().endswith(":30") for t in said) and len(said) == (len(hours) + 1) // 2
 
 
 # ----------------------------------------------------------------------------------------------

@@ -289,7 +289,7 @@ def plan_warnings(
     if request.set != "even":
         dark, light = (sum(hours_by_day[day] == count for day in days) for count in (0, 24))
         if dark:
-            yield f"polar night: no slot on {dark} of {len(days)} days"
+            yield f"polar night: no slot on {dark} of {len(days)} days: capture on the others"
         if light:
             yield f"midnight sun: a slot in every hour of {light} of {len(days)} days"
     if request.count and len(hours) < request.count:

@@ -105,6 +105,7 @@ def html(
     assumed = assumed_texts(setup.camera)
     return environment.get_template("sheet.html.j2").render(
         site=setup.site,
+        headings=[f"{heading:g}" for heading in setup.camera.headings],
         sheets=[_sheet(*day, setup, cost, n) for day, n in zip(dated, counts, strict=True)],
         days=len(dated),
         late=5,  # minutes; the default of `fieldlum capture --grace` (docs/capture.md)
@@ -212,10 +213,11 @@ def _row(slot: Slot, local: datetime, day: date) -> dict[str, object]:
 def sky_chart(hours: days.DaylightHours, setup: SiteFile, day: date | None = None) -> Figure:
     """Return a sky chart (north up, east right) of planned suns and the sun's paths by season.
 
-    hours: the planned ones. day: adds the path of that day, the hour of each planned sun, and marks
-    in the directions of the camera's headings; None: adds the year's sun band, in another colour
-    where a planned sun is near (Figure 15 of Liu, Colburn and Inanici 2020). A chart of azimuth
-    against altitude would fail in the tropics, where the sun passes the zenith on either side.
+    hours: the planned ones. day: adds the path of that day, the wall clock at every second planned
+    sun, and marks in the directions of the camera's headings; None: adds the year's sun band, in
+    another colour where a planned sun is near (Figure 15 of Liu, Colburn and Inanici 2020). A chart
+    of azimuth against altitude would fail in the tropics, where the sun passes the zenith on either
+    side.
     """
     site, camera = setup.site, setup.camera
     year = (day or (hours.t_utc[0] if len(hours) else datetime.now(UTC))).year
@@ -244,7 +246,7 @@ def sky_chart(hours: days.DaylightHours, setup: SiteFile, day: date | None = Non
         axes.plot(np.radians(at.azimuth_deg), zenith_deg, color=colour, lw=width)
     points = (np.radians(hours.azimuth_deg), 90 - hours.altitude_deg)
     axes.plot(*points, "o", ms=5 if day else 2, color=RED)
-    for t_utc, *point in zip(hours.t_utc, *points, strict=True) if day else ():
-        label = f"{t_utc.astimezone(ZoneInfo(site.timezone)):%H}"
-        axes.annotate(label, point, (0, 5), textcoords="offset points", ha="center", size=8)
+    for t_utc, *point in [*zip(hours.t_utc, *points, strict=True)][::2] if day else ():
+        label = f"{t_utc.astimezone(ZoneInfo(site.timezone)):%H:%M}"
+        axes.annotate(label, point, (0, 5), textcoords="offset points", ha="center", size=7)
     return figure
