@@ -8,6 +8,7 @@ import csv
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
@@ -381,8 +382,29 @@ def test_global_alone_without_neighbours_is_not_decomposed(tmp_path: Path) -> No
     told = health(lone, found, altitude, top, 0, SEATTLE).warnings
     assert told == (
         "100 % of the rows by day have global but no direct irradiance: direct cannot be "
-        "derived from global without another row within half an hour; log at least every minute",
+        "derived from global without another row within half an hour; log at least every minute "
+        "(local time: 2027-06-21 13:10 to 2027-06-21 15:10)",
     )
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("dead", "cause"),
+    [
+        (range(60, 120), "a covered instrument or a loose cable (local time: {} to {})"),
+        (range(0, 180, 2), "values in kW/m2 (local time: {} to {})"),
+    ],
+)
+def test_hours_without_light_by_day_are_named(dead: range, cause: str) -> None:
+    """Almost no light, as by a loose cable, was only said to be kW/m2, without their time."""
+    light = [0.1 * (i % 3) if i in dead else 700.0 + i % 7 for i in range(180)]
+    series = series_of([at(60.0 * i, x, min(x, 150.0)) for i, x in enumerate(light)])
+    altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
+    found = with_dirint(check(series, altitude, top), altitude, SEATTLE)
+    zone = ZoneInfo(SEATTLE.timezone)
+    ends = ((NOON + timedelta(minutes=dead[k])).astimezone(zone) for k in (0, -1))
+    said = cause.format(*(f"{t:%Y-%m-%d %H:%M}" for t in ends))
+    assert any(said in text for text in health(series, found, altitude, top, 0, SEATTLE).warnings)
 
 
 @pytest.mark.analytic
@@ -411,7 +433,7 @@ def test_rows_of_one_moment_that_differ_are_marked() -> None:
 @pytest.mark.parametrize(
     ("ghi", "dhi", "said"),
     [
-        (0.8, 0.15, "whether the values are in kW/m2"),
+        (0.8, 0.15, "check for values in kW/m2"),
         (150.0, 800.0, "more diffuse than global"),
         (1600.0, 150.0, "extremely rare"),
     ],

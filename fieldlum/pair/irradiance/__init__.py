@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from enum import IntFlag
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import numpy as np
 from scipy.ndimage import rank_filter
@@ -361,7 +362,7 @@ def health(
     gaps = seconds[seconds > 2.5 * local_period_s(clean.t_unix_s)[1:]]
     clock_off = clock_off_s(raw.t_unix_s, raw.ghi_wm2, site)
     counts = {mark: int(np.sum((clean.marks & mark) != 0)) for mark in Mark}
-    of_log = _of_log(offset, passed, clock_off, damaged)
+    of_log, zone = _of_log(offset, passed, clock_off, damaged), ZoneInfo(site.timezone)
     return Health(
         rows=len(clean),
         broken_lines=damaged,
@@ -373,7 +374,7 @@ def health(
         closure_pass=passed,
         clock_off_s=clock_off,
         marks={(mark.name or "").lower(): count for mark, count in counts.items() if count},
-        warnings=(*of_log, *_of_level(raw, altitude, site), *_of_day(clean, altitude, top)),
+        warnings=(*of_log, *_of_level(raw, altitude, site), *_of_day(clean, altitude, top, zone)),
     )
 
 
@@ -437,24 +438,30 @@ _FAULTS = {
 }
 
 
-def _of_day(clean: Series, altitude: Floats, top: Floats) -> Iterator[str]:
+def _of_day(clean: Series, altitude: Floats, top: Floats, zone: ZoneInfo) -> Iterator[str]:
     """Yield a warning for each fault of over 5 % of the rows with the sun above 10 degrees.
 
-    clean: rows after the checks; altitude [n] deg, top [n] W/m2: from `sky_geometry`.
+    It has the times of the first and the last such row. clean: rows after the checks; altitude [n]
+    deg, top [n] W/m2: from `sky_geometry`; zone: of the times.
     """
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
         return
     weak = sun.too_weak(clean.ghi_wm2, altitude, top)
     faults = {text: (clean.marks & mark) != 0 for mark, text in _FAULTS.items()}
-    faults["less light than the darkest overcast sky: check whether the values are in kW/m2"] = weak
+    # some rows, one after another
+    covered = not weak[up].all() and np.sum(np.diff(weak[up], prepend=False) & weak[up]) == 1
+    cause = "for a covered instrument or a loose cable" if covered else "for values in kW/m2"
+    faults[f"less light than the darkest overcast sky: check {cause}"] = weak
     faults[
         "global but no direct irradiance: direct cannot be derived from global without another row "
         "within half an hour; log at least every minute"
     ] = np.isfinite(clean.ghi_wm2) & np.isnan(clean.dni_wm2)
     for text, rows in faults.items():
         if (share := float(np.mean(rows[up]))) > 0.05:
-            yield f"{100 * share:.0f} % of the rows by day have {text}"
+            ends = [datetime.fromtimestamp(t, zone) for t in clean.t_unix_s[up & rows][[0, -1]]]
+            when = " to ".join(f"{t:%Y-%m-%d %H:%M}" for t in ends)
+            yield f"{100 * share:.0f} % of the rows by day have {text} (local time: {when})"
 
 
 # ----------------------------------------------------------------------------------------------
