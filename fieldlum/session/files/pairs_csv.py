@@ -96,8 +96,10 @@ class PairsFile:
     @property
     def pair_again(self) -> list[str]:
         """A warning if a row is `outdated`; else the list is empty."""
-        count, what = len(self.outdated), "irradiance or mark changed after pair"
-        return [f"WARNING: {counted(count, 'pair')}: {what}: run fieldlum pair again"][: count > 0]
+        if not (count := len(self.outdated)):
+            return []
+        what = "irradiance or mark changed after pair"
+        return [f"WARNING: {counted(count, 'pair')}: {what}: run fieldlum pair again"]
 
     @classmethod
     def read(cls, path: Path) -> PairsFile:
