@@ -359,3 +359,20 @@ def test_pictures_without_any_edge_are_no_room(tmp_path: Path) -> None:
     flat = replace(data, luminance_cdm2=np.full_like(data.luminance_cdm2, 50.0))
     with pytest.raises(InputError, match="no two pictures have the same edges; expected one view"):
         load_pairs(write_pairs(tmp_path, flat))
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("glass", [0.7, 0.25])
+def test_a_disc_that_the_csv_does_not_state_is_named(tmp_path: Path, glass: float) -> None:
+    """Its light is learnt as sky: the model's own error grows, and no figure shows why."""
+    data = dataset(("2027-03-20", "2027-06-21"), height=48)
+    light = data.light
+    high = (light.apparent_altitude_deg > 15.0) & (light.direct_lx > 1e4)
+    maps = add_disc(
+        data.luminance_cdm2, light, np.where(high, glass * light.direct_lx, 0.0), data.heading_deg
+    )
+    shown = replace(data, luminance_cdm2=maps)
+    found = f"the sun's disc is learnt as sky in {high.sum()} pictures: write sun_in_map = 1"
+    for made, stated, warns in ((shown, False, True), (shown, True, False), (data, False, False)):
+        notes = load_pairs(write_pairs(tmp_path, made, sun_in_map=stated)).notes
+        assert any(found in note for note in notes) is warns, notes

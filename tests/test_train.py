@@ -248,3 +248,19 @@ def test_the_budget_is_the_networks_alone(tmp_path: Path, monkeypatch: pytest.Mo
     answer = run(DATA, "dense", budget_min=5.0, out=tmp_path)
     assert spent_s == pytest.approx([30.0] * 5 + [150.0])
     assert {row["folds"] for row in answer["models"]} == {5}
+
+
+@pytest.mark.contract
+def test_a_state_of_one_day_is_named_as_not_scored() -> None:
+    """Held-out days have no other capture with it, so its error rises once it is marked."""
+    of_day = np.array([str(day) == DAYS[1] for day in DATA.days])
+    twice = of_day | (DATA.days == np.datetime64(DAYS[4]))
+    states = tuple(
+        ";".join(filter(None, ("blind=down" * int(a), "lamp=on" * int(b))))
+        for a, b in zip(of_day, twice, strict=True)
+    )
+    marked = replace(DATA, light=replace(DATA.light, states=states))
+    notes = [note for note in notes_of(marked, "absolute", "mean", ()) if "one day" in note]
+    assert notes == ["blind=down was captured on one day only: held-out days cannot score it"]
+    one_day = marked.take(of_day)
+    assert not any("score it" in note for note in notes_of(one_day, "absolute", "mean", ()))

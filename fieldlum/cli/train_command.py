@@ -64,9 +64,8 @@ def command(
     print_answer(as_json, answer, _lines(answer))
     for note in () if as_json else answer["notes"]:
         say(note)
-    unchanged = f"{folder}: captures and options have not changed, so nothing was trained"
-    kept = f"{unchanged} (--force trains again)"
-    say(kept if answer.get("kept") else f"model written to {folder}")
+    kept = "captures and options have not changed, so nothing was trained (--force trains again)"
+    say(f"{folder}: {kept}" if answer.get("kept") else f"model written to {folder}")
 
 
 def _lines(answer: TrainAnswer) -> list[str]:

@@ -446,9 +446,15 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
     notes = list(data.notes)
     if len(np.unique(data.days)) == 1:
         notes += ["all hours are from one day, so that the scores are too good: capture more days"]
+    states = data.light.states or ()
+    for part in sorted({part for state in states for part in state.split(";") if part}):
+        if len({*data.days[[part in state for state in states]]}) == 1 < len({*data.days}):
+            notes.append(f"{part} was captured on one day only: held-out days cannot score it")
     # A scene without patches was chosen on purpose and has its own note.
     if patch == "none" and data.patch_cdm2 is None and data.scene is None:
-        notes.append("no sun patches in the data: add a [room] to SITE.toml and run fieldlum pair")
+        notes.append(
+            "no sun patches: add a [room] and run fieldlum pair; a csv: its column sunpatch"
+        )
     own = next((trial for trial in trials if trial.name == model), None)
     if own is None or MODELS[model].baseline:
         return notes
