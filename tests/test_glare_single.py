@@ -301,3 +301,20 @@ def test_a_metric_of_the_registry_is_in_every_answer(monkeypatch: pytest.MonkeyP
     view = answer["views"][0]
     assert view["ev_klx"] == pytest.approx((view["ev_lx"] or 0.0) / 1000.0)
     assert "ev_klx" in csv_rows(answer)[0]
+
+
+@pytest.mark.contract
+def test_the_view_option_makes_a_picture_of_another_program_a_panorama(
+    tmp_path: Path, maps: np.ndarray
+) -> None:
+    """OpenCV writes no FIELDLUM_VIEW line."""
+    path, stated, out = tmp_path / "cv.hdr", tmp_path / "p.hdr", tmp_path / "v.png"
+    write_radiance_hdr(path, maps)
+    write_radiance_hdr(stated, maps, heading_deg=90.0)
+    with pytest.raises(InputError, match='--view "equirect heading_deg=180" for a panorama'):
+        picture_glare(path)
+    views = picture_glare(stated, (120.0,))["views"]
+    for text in ("equirect heading_deg=90", "FIELDLUM_VIEW= equirect heading_deg=90.0"):
+        assert picture_glare(path, (120.0,), view_options=text)["views"] == views
+    shown = CliRunner().invoke(main, ["view", str(path), "--out", str(out), "--view", text])
+    assert shown.exit_code == 0 and out.is_file(), shown.output

@@ -48,7 +48,7 @@ def command(
       --view-azimuth DEG: Judge a panorama in this direction, clockwise from true north; can
           be repeated. [default: ten directions]
       --view VIEW OPTIONS: View of the pictures as Radiance options, such as "-vta -vd 0 -1
-          0 -vh 180 -vv 180"; replaces the VIEW of the file.
+          0 -vh 180 -vv 180", or "equirect heading_deg=180"; replaces the VIEW of the file.
       --calibrate-ev LX: Scale each picture to this measured vertical illuminance of its
           (first) view.
       --csv FILE: Write one row for each picture and view.

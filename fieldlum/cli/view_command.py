@@ -24,6 +24,7 @@ def command(
     out: Annotated[Path | None, FILE_PATH] = None,
     regions: Annotated[tuple[Any, ...], _region] = (),
     csv_path: Annotated[Path | None, FILE_PATH] = None,
+    view_options: str = "",
     part: str = "",
     force: bool = False,
 ) -> None:
@@ -42,6 +43,7 @@ def command(
       --region REGION: Statistics of rect:x,y,w,h, circle:x,y,r (pixels from the top left) or
           cone:AZ,ALT,RADIUS (degrees; azimuth from north); can be repeated.
       --csv FILE: Write the statistics of the regions.
+      --view VIEW: View of the pictures, as for fieldlum glare.
     """
     from fieldlum.report import view
     from fieldlum.session.codec import write_csv
@@ -56,7 +58,7 @@ def command(
     pictures: list[view.MeasuredPicture] = []
     for path in files:
         try:
-            pictures.append(view.read_measured_picture(path, part))
+            pictures.append(view.read_measured_picture(path, part, view_options))
         except InputError as error:
             say(f"fieldlum view: {error}")
     rows = [view.region_statistics(region, picture) for picture in pictures for region in regions]
@@ -83,5 +85,5 @@ def _latest_panorama(path: Path) -> Path:
     panoramas = sorted(open_session(path).panorama_files())
     if not panoramas:
         raise NotEnoughDataError(f"{path}: no panorama to view; run fieldlum merge {path}")
-    say(f"note: {panoramas[-1]} is the latest of {len(panoramas)} panoramas")
+    say(f"note: {panoramas[-1]} is the latest panorama, of {len(panoramas)}")
     return panoramas[-1]

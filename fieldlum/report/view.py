@@ -124,13 +124,14 @@ def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, flo
     return row | dict(zip(COLUMNS[3:], map(float, figures), strict=True))
 
 
-def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
+def read_measured_picture(path: Path, part: str = "", view_options: str = "") -> MeasuredPicture:
     """Read a picture and compute its glare, in the middle of a panorama or in a fisheye's view.
 
-    part: name of the part, layer or stereo view of an .exr; "" for the only one. Raises InputError
-    for an unusable file, and for seen pixels that are not finite.
+    part: name of the part, layer or stereo view of an .exr; "" for the only one. view_options: as
+    for `read_picture`. Raises InputError for an unusable file, and for seen pixels that are not
+    finite.
     """
-    picture = read_picture(path, part=part)
+    picture = read_picture(path, view_options, part)
     luminance = picture.panorama.seen_cdm2
     azimuths_deg = (picture.panorama.heading_deg,) if picture.view is None else ()
     answer, sources = glare_answer(picture, path, azimuths_deg)

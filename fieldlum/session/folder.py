@@ -306,6 +306,9 @@ def open_session(root: Path) -> Session:
         found = "this is a file" if root.is_file() else "no session.toml in this folder"
         found = found if root.exists() else "no such folder"
         remedy = "correct the path, or plan a session with: fieldlum plan SITE.toml"
+        of_year = (f"{folder}predict.json" for folder in ("", "*/", "models/*/*/"))
+        if results := [path for name in of_year for path in sorted(root.glob(name))]:
+            remedy = f"the year of a csv is in predict.json and hourly.csv of {results[0].parent}"
         if root.name == "session.toml":
             remedy = f"name its folder: {root.parent}"
         raise InputError(root, found, "a session folder", remedy)

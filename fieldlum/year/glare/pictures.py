@@ -37,6 +37,7 @@ from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
 from fieldlum.year.glare.sources import Views, angles_from_view
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
+_PANORAMA = re.compile(r"\s*(?:FIELDLUM_VIEW=)?\s*equirect\s+heading_deg=(-?\d+(?:\.\d+)?)\s*")
 _INHERITED = "the VIEW is that of an input picture: it is wrong if that picture was cropped"
 
 
@@ -63,15 +64,18 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
     """Return a .hdr or .exr picture with its view, which `view_options` replace if they are not "".
 
     view_options : Radiance's options as for `parse_view`, such as "-vta -vd 0 -1 0 -vh 180 -vv
-    180". part : name of the part, layer or stereo view of an .exr; "" for the only one. Raises
-    InputError for a missing or damaged file, a missing or contradictory view, a `part` that the
-    file does not have, and any `part` of a .hdr.
+    180", or for a panorama "equirect heading_deg=180". part : name of the part, layer or stereo
+    view of an .exr; "" for the only one. Raises InputError for a missing or damaged file, a missing
+    or contradictory view, a `part` that the file does not have, and any `part` of a .hdr.
     """
     what = "a picture .hdr or .exr"
     with input_errors(path, what, "check the path", OSError), open_to_read(path) as file:
         is_exr = file.read(4) == _EXR_MAGIC or path.suffix.lower() == ".exr"
     if part and not is_exr:
         raise InputError(path, "a picture without parts", "an .exr for --part", "omit --part")
+    if stated := _PANORAMA.fullmatch(view_options):
+        own = replace(read_panorama_with_sun(path, part=part), heading_deg=float(stated[1]))
+        return Picture(own, None, notes=tuple(filter(None, [own.attributes.get("note")])))
     return _read_exr(path, view_options, part) if is_exr else _read_hdr(path, view_options)
 
 
@@ -323,7 +327,7 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     names `source`, for an empty text, a missing or unknown view type, and impossible numbers.
     """
     if not text:
-        remedy = f"{HOW}; a panorama needs FIELDLUM_VIEW= equirect heading_deg=180 in its header"
+        remedy = f'{HOW}, or --view "equirect heading_deg=180" for a panorama'
         raise InputError(source, "no VIEW in the header", "the picture's view", remedy)
     kind = (re.findall(r"(?<!\S)-vt(\S)(?!\S)", text) or [""])[-1]
     if kind not in _MAX_DEG:
