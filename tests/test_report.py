@@ -25,9 +25,9 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Slot
 from fieldlum.learn import train
 from fieldlum.report import sections as annual_page
-from fieldlum.report.page import NOTHING, Quantity, heat_map
+from fieldlum.report.page import NOTHING, Quantity, heat_map, picture_grid
 from fieldlum.report.sections import budget_section, melanopic_section, melanopic_shares
-from fieldlum.session import Session, create_session
+from fieldlum.session import Session, create_session, open_session
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import (
@@ -408,3 +408,36 @@ def test_shares_of_the_year_with_enough_melanopic_light(tmp_path: Path) -> None:
         stated = PredictFile(days=2, inputs={"lamps": lamps})
         seen = replace(year, views=views | {"dgp": some["dgp"]}, summary=stated)
         assert words in melanopic_section(seen, "UTC").text
+
+
+@pytest.mark.contract
+def test_the_sun_s_disc_has_a_ring() -> None:
+    """A disc of a pixel is not seen: DGP 1.00 stood beside a dim room."""
+    dim = np.full((90, 180), 50.0, np.float32)
+    sunny = dim.copy()
+    sunny[40, 120] = 1e8
+    _, (plain, ringed) = picture_grid([dim, sunny], ["dim", "sunny"], 2, 2.0)
+    assert not plain.lines
+    assert ringed.lines[0].get_xydata().tolist() == [[120.5, 40.5]]
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_notes_on_the_pose_are_with_the_method(session: Session) -> None:
+    """Whoever wants a desk cannot use an angle between the sun's discs."""
+    year = predict.read_annual(session.annual / "transport")
+    note = "pose by 1 measured sun disc: heading -0.14 +- 0.33 degrees"
+    told = structs.replace(year.summary, notes=(*year.summary.notes, note, "The sky is low"))
+    year = replace(year, summary=told)
+    seats, method = annual_page.directions_section(year).text, budget_section(year).text
+    assert "Pose by" not in seats and "The sky is low." in seats and "Pose by 1" in method
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_year_without_a_session_is_named(session: Session, tmp_path: Path) -> None:
+    """The year of a csv has no page, but it has files."""
+    shutil.copytree(session.annual / "transport", tmp_path / "models/auto/annual")
+    for folder in ("", "models/auto", "models/auto/annual"):
+        with pytest.raises(InputError, match=r"predict.json and hourly.csv of .*auto/annual"):
+            open_session(tmp_path / folder)

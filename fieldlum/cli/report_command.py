@@ -6,7 +6,7 @@ from typing import Literal
 import click
 
 from fieldlum.cli.options import OpenSession, command_of
-from fieldlum.cli.terminal import say
+from fieldlum.cli.terminal import progress, say
 
 
 @command_of("report")
@@ -28,6 +28,7 @@ def command(
     """
     from fieldlum.report import run
 
-    page = run(session, out, for_assessor=for_reader == "assessor")
+    with progress("report"):
+        page = run(session, out, for_assessor=for_reader == "assessor")
     say(f"report: {page.stat().st_size / 1e6:.2g} MB")
     click.echo(str(page))

@@ -20,6 +20,7 @@ from fieldlum.core.plot_style import GREEN, INK, PALE, RED, styled, svg_of
 from fieldlum.core.records import JsonTable
 from fieldlum.optics.projection import compass_name
 from fieldlum.session.files.predict_json import DirectionYear
+from fieldlum.sky.sun_disc import BRIGHTEST_SURFACE_CDM2
 from fieldlum.version import __version__
 from fieldlum.year.glare.standards import CLASSES
 
@@ -213,7 +214,8 @@ def picture_grid(
     maps: at least one, [H, W] each, in cd/m2, NaN is white; titles: of the maps; columns: pictures
     in a row; width_in: of one picture in inches; scale_cdm2: ends of the logarithmic colour scale,
     at which values are cut off. ratios: the maps of the last column are binary logarithms of
-    ratios, drawn from blue (1/2) to red (2) with their own bar. The list of axes has one for each
+    ratios, drawn from blue (1/2) to red (2) with their own bar. A blue ring is around a pixel as
+    bright as the sun's disc. The list of axes has one for each
     map, in pixels from its top left.
     """
     rows, columns = -(-len(maps) // columns), min(columns, len(maps))  # rows rounded up
@@ -231,6 +233,9 @@ def picture_grid(
             shown = np.clip(image, *scale_cdm2) if style is light else image
             axes.imshow(shown, norm=style.norm, cmap=style.cmap, extent=extent)
             axes.set_title(title, fontsize=9)
+            if np.nanmax(image) > BRIGHTEST_SURFACE_CDM2 and style is light:
+                row, column = np.unravel_index(np.nanargmax(image), image.shape)
+                axes.plot(column + 0.5, row + 0.5, "o", ms=10, mew=2, mfc="none", mec="deepskyblue")
         options: dict[str, Any] = {"location": "bottom", "aspect": 40, "extend": "both"}
         cells = grid[:, : columns - ratios]
         shrink = 1.0 if ratios else 0.5

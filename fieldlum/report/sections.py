@@ -9,9 +9,10 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Site, SunSource, counted
+from fieldlum.core.progress import progress
+from fieldlum.core.records import Site, counted
 from fieldlum.optics import profiles
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
 from fieldlum.report import page
@@ -22,6 +23,7 @@ from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import DirectionYear
 from fieldlum.session.panorama_sun import SUN_FROM, read_suns
 from fieldlum.sky import sun
+from fieldlum.sky.sun_disc import add_source
 from fieldlum.year.glare.pictures import panorama_to_fisheye, picture_centres
 from fieldlum.year.glare.standards import EXCEEDED_SHARE, dgp_per_scale
 from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE, read_budgets
@@ -30,6 +32,7 @@ from fieldlum.year.predict.annual import Pictures
 from fieldlum.year.predict.year import best_and_worst, outdated_text
 
 _FISHEYE_PX = 220  # width and height of a fisheye: about its size on the page
+_OF_POSE = ("pose by ", "heading ", "the discs leave open ")  # beginnings of notes on the method
 GA_DGP, SDG_DGP = 0.40, 0.38  # honeybee's limit of GA, and ClimateStudio's of sDG
 
 
@@ -170,9 +173,9 @@ def directions_section(annual: Annual) -> Section:
         "GA (glare autonomy, honeybee): occupied hours with DGP of at most 0.40. sDG "
         "(ClimateStudio): whether DGP exceeds 0.38 in over 5 % of them."
     )
-    text = "\n".join((occupied, *map(sentence, annual.summary.notes[1:]), autonomy))
-    hours = ("h > .35", "h > .40", "h > .45")
-    table = Table((*head, *hours, "GA", "sDG: disturbed"), rows)
+    notes = [note for note in annual.summary.notes[1:] if not note.startswith(_OF_POSE)]
+    text = "\n".join((occupied, *map(sentence, notes), autonomy))
+    table = Table((*head, "h > .35", "h > .40", "h > .45", "GA", "sDG: disturbed"), rows)
     return Section("directions", "Where to sit", text, tables=(table,))
 
 
@@ -215,6 +218,9 @@ def when_section(annual: Annual, zone: str) -> Section:
 # what it looks like
 
 
+_RING = "A blue ring marks the sun's disc, which is smaller than a pixel."
+
+
 def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
     """Return the section with predicted pictures of typical hours and of those with most glare.
 
@@ -224,10 +230,11 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
     names = {"typical": "Typical hour", "p95": "95th percentile"}
     turned, titles, rows = [], [], []
     for k, kind in enumerate(pictures.kinds):
+        progress(k, len(pictures.kinds), "pictures")
         if " view " not in kind:  # earlier versions have a clear day too
             continue
         share, _, which, _, azimuth = kind.split()  # such as "p95 of worst view 180"
-        azimuth_deg, light = float(azimuth), pictures.luminance_cdm2[k]
+        azimuth_deg, light = float(azimuth), _with_disc(annual, pictures, k)
         columns = round((pictures.heading_deg - azimuth_deg) / 360.0 * light.shape[1])
         turned.append(np.roll(light, columns, axis=1))  # the view direction in the middle
         when = annual.t_utc[pictures.rows[k]].astimezone(ZoneInfo(zone)).strftime("%d %b %H:%M")
@@ -237,10 +244,19 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
             rows.append((_fisheyes(annual, pictures, k, when),))
     if turned:
         alt = f"False-colour panoramas: {'; '.join(titles)}."
-        caption = "Predicted panoramas. The middle of each faces the direction that it is of."
+        caption = (
+            f"Predicted panoramas. The middle of each faces the direction that it is of. {_RING}"
+        )
         figure = Figure(page.png(page.picture_grid(turned, titles, 2, 6.0)[0]), caption, alt)
         rows.insert(0, (figure,))
     return Section("looks", "What it looks like", rows=rows)
+
+
+def _with_disc(annual: Annual, pictures: Pictures, k: int) -> Floats32:
+    """Return picture k of `pictures` [H, W] with the sun's disc, if it is seen in that hour."""
+    row, hours, light = pictures.rows[[k]], annual.hours, pictures.luminance_cdm2[[k]]
+    place = sun.apparent_altitude_deg(hours["sun_altitude_deg"][row]), hours["sun_azimuth_deg"][row]
+    return add_source(light, place, pictures.disc_lx[[k]], pictures.heading_deg)[0]
 
 
 def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
@@ -248,20 +264,16 @@ def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
 
     k: index of the hour in `pictures`; when: its time, as a text. At most ten directions are shown.
     """
-    row, disc_lx, hours = int(pictures.rows[k]), float(pictures.disc_lx[k]), annual.hours
-    altitude_deg = float(sun.apparent_altitude_deg(hours["sun_altitude_deg"][row]))
-    disc = SunSource(altitude_deg, float(hours["sun_azimuth_deg"][row]), disc_lx)
+    row, light = int(pictures.rows[k]), _with_disc(annual, pictures, k)
     views, titles = [], []
     is_outside = np.hypot(*picture_centres(_FISHEYE_PX, _FISHEYE_PX)) > 0.5
     for i in np.flatnonzero(annual.judged)[:10]:
         azimuth_deg = float(annual.azimuths_deg[i])
-        turn_deg = (pictures.heading_deg, azimuth_deg)  # from the map's heading to the view
-        light = pictures.luminance_cdm2[k]
-        shown = panorama_to_fisheye(light, *turn_deg, size=_FISHEYE_PX, sun=disc)
+        shown = panorama_to_fisheye(light, pictures.heading_deg, azimuth_deg, size=_FISHEYE_PX)
         views.append(np.where(is_outside, np.nan, shown))
         titles.append(f"{direction_name(azimuth_deg)}  DGP {annual.views['dgp'][row, i]:.2f}")
-    what = f"View directions around the room in the hour of the highest DGP, {when} (predicted)."
-    return Figure(page.png(page.picture_grid(views, titles, 5, 2.3)[0]), what)
+    what = f"View directions around the room in the hour of the highest DGP, {when} (predicted). "
+    return Figure(page.png(page.picture_grid(views, titles, 5, 2.3)[0]), what + _RING)
 
 
 def budget_section(annual: Annual, *, folded: bool = True) -> Section:
@@ -287,7 +299,7 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
             (direction_name(float(azimuth)), f"{float(estimate):.3g}", *of_sources.values())
             for (azimuth, estimate), of_sources in views.items()
         ]
-        title = f"{figure}{'' if unit == '1' else f' [{unit}]'}"
+        title = figure if unit == "1" else f"{figure} [{unit}]"
         tables.append(Table(("facing", "estimate", *names), rows, title, folded=folded))
     text = (
         "What each source adds to the standard uncertainty of a figure of the year, unless it is "
@@ -296,6 +308,7 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
         if budget
         else "This year has no budget.csv: run fieldlum predict again."
     )
+    text = " ".join((text, *(sentence(n) for n in annual.summary.notes if n.startswith(_OF_POSE))))
     return Section("budget", "Uncertainty budget", text, tables=tuple(tables))
 
 
@@ -445,7 +458,7 @@ def _score_table(scores: ScoresFile) -> Table:
         name, *figures = (row.get(key) for key in _COLUMNS)
         name = {"kind": "high", "text": f"{name} (chosen)"} if name == scores.chosen else name
         rows.append((name, *("–" if value is None else f"{value:.3g}" for value in figures)))
-    title = "Models tried, on held-out days; own disc: by the sky view, which saw these days too"
+    title = "Models tried, on held-out days; DGP with the sun's disc that was measured"
     return Table(tuple(_COLUMNS.values()), rows, title)
 
 
@@ -496,14 +509,13 @@ def _captures_text(session: Session, site: Site, pairs: PairsFile) -> str:
     if not used:
         return f"{text}."
     measured = sum(row.source == "measured" for row in used)
-    kind = f"measured in {measured} brackets and derived in the others"
+    kind = f"measured in {counted(measured, 'bracket')} and derived in the others"
     text += f" between {days[0]} and {days[-1]}. Direct and diffuse irradiance were "
     text += f"{'measured' if measured == len(used) else kind}."
     origins = Counter(row.origin for row in read_suns(session.suns).values())
     parts = [f"{SUN_FROM.get(origin, origin)} in {n}" for origin, n in origins.most_common()]
-    count = counted(origins.total(), "picture")
-    suns = f" {count} show the sun's disc, whose illuminance was {', '.join(parts)}."
-    return f"{text}{suns}" if origins else text
+    suns = f" {counted(origins.total(), 'picture')} with the sun's disc, whose illuminance was"
+    return f"{text}{suns} {', '.join(parts)}." if origins else text
 
 
 def warnings_of(session: Session, year: Annual | None) -> list[str]:
