@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import pytest
+from click.testing import CliRunner
 from tiny_field import Field
 
-from fieldlum.cli import terminal
+from fieldlum.cli import main, terminal
+from fieldlum.core.records import utc_text
 from fieldlum.optics.profiles import find_camera_profile
 from fieldlum.report.assessor import _instruments
-from fieldlum.session import day_files, read_day, sha256
+from fieldlum.session import Journal, day_files, marks, read_day, sha256
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.stage_status import stage_status
 
@@ -140,3 +144,34 @@ def test_simulated_time_has_an_estimate_of_the_real_time(
         "capture: 1 of 3 (1 done, 0 missed, 0 aborted, 2 left)",
         "capture: 2 of 3, about 1.0 min left",
     ]
+
+
+@pytest.mark.contract
+def test_a_slot_before_a_captured_one_is_no_next_step(rig: Field) -> None:
+    """A card without the bracket of one slot: nobody can capture it any more."""
+    rig.run()
+    slots = rig.session.slots()
+    rig.session.panoramas.mkdir(exist_ok=True)
+    for slot in slots:
+        rig.session.panorama(slot.id).write_bytes(b"")
+    rows = [f"{utc_text(s.t_utc)},panoramas/{s.id}.exr,500,100" for s in slots]
+    rig.session.pairs.write_text("\n".join(["t_utc,panorama,dni_wm2,dhi_wm2", *rows]), "utf-8")
+    for withdrawn, step in ((slots[0], "train"), (slots[-1], "capture")):
+        with closing(Journal(rig.session)) as journal:
+            journal.append("withdrawn", withdrawn.t_utc, slot=withdrawn.id)
+        assert stage_status(rig.session)["next_step"] == f"fieldlum {step} {rig.session.root}"
+
+
+@pytest.mark.contract
+def test_a_date_marks_all_captured_slots_of_the_local_day(rig: Field) -> None:
+    rig.run()
+    slots, zone = rig.session.slots(), ZoneInfo(rig.session.site_file().site.timezone)
+    dates = {slot.id: str(slot.t_utc.astimezone(zone).date()) for slot in slots}
+    day = dates[slots[0].id]
+    same = {slot for slot, date in dates.items() if date == day}
+    arguments = ["status", str(rig.session.root), "--mark"]
+    shown = CliRunner().invoke(main, [*arguments, day, "blind=down"])
+    assert shown.exit_code == 0, shown.output
+    assert marks(rig.session) == dict.fromkeys(same, "blind=down")
+    refused = CliRunner().invoke(main, [*arguments, "2027-01-01", "blind=down"])
+    assert refused.exit_code == 3 and "or its date" in refused.output

@@ -1,5 +1,7 @@
 """`fieldlum status`: show what a session has done and what is still to do."""
 
+from zoneinfo import ZoneInfo
+
 from fieldlum.cli import terminal
 from fieldlum.cli.options import OpenSession, command_of
 from fieldlum.core.records import JsonTable, counted
@@ -17,14 +19,19 @@ def command(
       fieldlum status office-2027 --mark 20270320T153000Z lamp=on
 
     Options:
-      --mark SLOT STATE: Record the room's state at a slot: lamp=on|off, blind=up|half|down,
-          tint=clear|half|full, snow=yes|no.
+      --mark SLOT|DATE STATE: Record the room's state at a slot, or at all captured slots of a
+          local date: lamp=on|off, blind=up|half|down, tint=clear|half|full, snow=yes|no.
     """
     from fieldlum.session import mark_slot
     from fieldlum.session.stage_status import stage_status
 
     if mark is not None:
-        terminal.say(f"{mark[0]}: {mark_slot(session, *mark) or 'as usual'}")
+        zone = ZoneInfo(session.site_file().site.timezone)
+        taken = {p.stem for p in (*session.captured_folders(), *session.panorama_files())}
+        slots = [slot for slot in session.slots() if slot.id in taken]
+        day = [s.id for s in slots if s.t_utc.astimezone(zone).date().isoformat() == mark[0]]
+        for slot in day or mark[:1]:
+            terminal.say(f"{slot}: {mark_slot(session, slot, mark[1]) or 'as usual'}")
     answer = stage_status(session)
     terminal.print_answer(as_json, answer, _lines(answer))
 
@@ -36,7 +43,6 @@ def _lines(answer: JsonTable) -> list[str]:
     plan, capture, log = answer["plan"], answer["capture"], answer["irradiance"]
     merge, pair = answer["merge"], answer["pair"]
     truth = " of the simulated truth" if pair["usable"] and not pair["done"] else ""
-    models = ", ".join(answer["train"]["models"]) or "none"
     of_set = f" ({plan['set']})" if plan["set"] else ""
     damaged = f"; {text}" if (text := damage_text(capture["damaged_lines"])) else ""
     upcoming = f", next {capture['next']}" if capture["next"] else ""
@@ -49,7 +55,7 @@ def _lines(answer: JsonTable) -> list[str]:
         f"irradiance  {counted(log['rows'], 'row')} on {counted(log['days'], 'UTC day')}",
         f"merge       {merge['done']} done, {merge['owed']} to do",
         f"pair        {pair['done']} done, {pair['usable']} usable{truth}, {pair['owed']} to do",
-        f"train       {models}",
+        f"train       {', '.join(answer['train']['models']) or 'none'}",
         f"predict     {', '.join(answer['predict']['years']) or 'none'}",
         f"report      {'done' if answer['report']['done'] else 'none'}",
         f"next        {answer['next_step']}",

@@ -49,13 +49,16 @@ def stage_status(session: Session) -> JsonTable:
         "predict": {"years": sorted(p.name for p in session.annual.glob("*") if p.is_dir())},
         "report": {"done": (session.report / "index.html").is_file()},
     }
-    return {**answer, "next_step": next_step(answer)}
+    # A slot before a captured one, which a card without its bracket leaves, cannot be captured.
+    waits = any(s.id > max(captured, default="") for s in slots_to_do(slots, recorded))
+    return {**answer, "next_step": next_step(answer, waits)}
 
 
-def next_step(answer: JsonTable) -> str:
+def next_step(answer: JsonTable, waits: bool = True) -> str:
     """Return the user's next step, mostly a command line.
 
-    answer: the table of `stage_status`, of which "next_step" is not read.
+    answer: the table of `stage_status`, of which "next_step" is not read. waits: whether a slot
+    after the captured ones is to do.
     """
     root = answer["session"]
     capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
@@ -71,7 +74,7 @@ def next_step(answer: JsonTable) -> str:
         (merge["owed"], f"fieldlum merge {root}"),
         (needs_irradiance, f"fieldlum import {root} --irradiance FILE"),
         (pair["owed"], f"fieldlum pair {root}"),
-        (capture["owed"], next_capture),
+        (capture["owed"] and waits, next_capture),
         (nothing_captured, f"fieldlum plan {root} --replan, {why}"),
         (not models, f"fieldlum train {root}"),
         (not answer["predict"]["years"], f"fieldlum predict {model} --weather FILE"),
