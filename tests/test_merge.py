@@ -419,9 +419,11 @@ def test_without_a_filter_the_sun_is_a_lower_bound(bracket) -> None:
     assert without.sun is not None and without.flags is not None
     assert without.sun.origin == "clipped" and without.sun.normal_illuminance_lx < 60_000
     assert (without.flags & Flag.CLIPPED_HIGH).any()
-    assert (
-        "clipped in every frame" in merge([s for s in shots if not s.exposure.nd], profile).verdict
-    )
+    short = [s for s in shots if not s.exposure.nd]
+    assert "clipped in every frame" in merge(short, profile).verdict
+    told = merge_shots(short, profile, MergeOptions(height=HEIGHT), sun_deg=(25.0, 190.0)).verdict
+    assert "the sun's disc, whose illuminance is a lower bound" in told, told
+    assert "add shorter" not in told
 
 
 @pytest.mark.slow

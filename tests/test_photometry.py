@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, SunSource
 from fieldlum.devices import nearest
-from fieldlum.merge.ratios import fit_ratios, pair_ratio
+from fieldlum.merge.estimator import FramePixels
+from fieldlum.merge.linear_frames import RawSignal
+from fieldlum.merge.ratios import fit_ratios, pair_ratio, pair_ratios
 from fieldlum.optics.camera_curves import (
     check_vignetting,
     dark_floor,
@@ -260,3 +262,19 @@ def test_the_gate_on_vertical_illuminance(image: float, said: str) -> None:
 @pytest.mark.analytic
 def test_a_meter_that_reads_nothing_is_no_pass() -> None:
     assert illuminance_verdict(100.0, 0.0) == "reject"
+
+
+@pytest.mark.analytic
+def test_light_that_only_the_short_frame_has_gives_no_ratio() -> None:
+    """Frames of a telephone with another order of exposures: warnings were printed."""
+    counts = np.full((1, 2, 400), 4000, np.uint16)
+    constants = [np.asarray(v, np.float32) for v in (512.0, 13488.0)]
+    above = counts.astype(np.float32) - 512.0
+    dark = np.where(np.arange(400) < 100, np.float32(0.0), above)
+    full = np.zeros(counts.shape, bool)
+    frames = [
+        FramePixels(RawSignal(counts, *constants, np.float32(per), 4.0, 2.33), light, full)
+        for per, light in ((1.0, dark), (0.5, above))
+    ]
+    (pair,) = pair_ratios(frames)
+    assert pair.pixels == 600 and pair.log_ratio == pytest.approx(np.log(2.0), abs=1e-3)

@@ -150,12 +150,13 @@ def _deviation_text(exposures: Exposures) -> str:
     return f"{low:+.1f} to {high:+.1f}" if any_beyond_prior(log, exposures.u_prior) else ""
 
 
-def verdict(report: MergeReport) -> str:
+def verdict(report: MergeReport, *, only_sun: bool = False) -> str:
     """Return the verdict as one line: "good: ...", or what to check, separated by semicolons.
 
-    Its limits were chosen with simulated and real brackets (docs/merge.md, "Verdicts").
+    only_sun: whether nothing but the sun's disc is clipped. The limits were chosen with simulated
+    and real brackets (docs/merge.md, "Verdicts").
     """
-    notes = [*_exposure_notes(report), *_camera_notes(report), *_view_notes(report)]
+    notes = [*_exposure_notes(report), *_camera_notes(report), *_view_notes(report, only_sun)]
     return "; ".join(notes) or f"good: frames agree within {report.residual_percent:.2f} %"
 
 
@@ -194,10 +195,14 @@ def _camera_notes(report: MergeReport) -> Iterator[str]:
         yield f"{found}{turn.long} and {turn.short}: fix the tripod and capture again"
 
 
-def _view_notes(report: MergeReport) -> Iterator[str]:
-    """Yield cautions about parts of the view that are clipped, in motion or below noise."""
+def _view_notes(report: MergeReport, only_sun: bool) -> Iterator[str]:
+    """Yield cautions about parts of the view that are clipped, in motion or below noise.
+
+    only_sun: whether nothing but the sun's disc is clipped.
+    """
     if clipped := report.clipped_percent:
-        remedy = "add shorter exposures, unless it is the sun"
+        bound = "the sun's disc, whose illuminance is a lower bound until fieldlum pair"
+        remedy = bound if only_sun else "add shorter exposures, unless it is the sun"
         yield f"clipped in every frame: {clipped:.3g} % of the view: {remedy}"
     if (motion := report.motion_percent or 0.0) > 2.0:
         cause = "people, leaves or clouds moved between frames"
@@ -286,16 +291,18 @@ def merge_shots(
             views.append(view_through(image, lens, target))
     seen = blend(views)
     panorama = finished_map(seen, profile, target, heading_deg=heading_deg, t_utc=middle_of(shots))
-    assert panorama.flags is not None  # by `finished_map`
-    report = report_of(findings, panorama.flags, target, profile)
-    sun = sky = None
+    flags = panorama.flags
+    assert flags is not None  # by `finished_map`
+    report = report_of(findings, flags, target, profile)
+    sun, sky, is_sun = None, None, False
     if latitude_deg is not None and isinstance(target, Equirect):
         sky = sky_cut(views, seen, target, heading_deg, latitude_deg)
     if sun_deg is not None and isinstance(target, Equirect):
         panorama, disc = take_out_disc(panorama, *sun_deg)
+        is_sun = disc is not None and not (flags & Flag.CLIPPED_HIGH)[~disc.pixels].any()
         sun = None if disc is None else _measured_sun(images, findings, panorama, disc)
     view = "" if isinstance(target, Equirect) else target.view(heading_deg)
-    text = verdict(report)
+    text = verdict(report, only_sun=is_sun)
     if floating:
         cause = f"EXIF of {floating} states no fixed white balance"
         text += f"; no melanopic colour, because {cause}: set that of the calibration"

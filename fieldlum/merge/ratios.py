@@ -125,6 +125,7 @@ def _well_exposed(long: FramePixels, short: FramePixels) -> Floats32:
     snr_long = mean_cdm2 * np.sqrt(weight_long * long.signal.per_cdm2)
     snr_short = mean_cdm2 * np.sqrt(weight_short * short.signal.per_cdm2)
     at = (snr_long > 30.0) & (snr_short > _SNR_SHORT[-1]) & ~(long.full | short.full)
+    at &= long.counts != 0.0  # where light came only in the short frame there is no ratio
     per_long = np.broadcast_to(long.signal.per_cdm2, at.shape)[at]
     per_short = np.broadcast_to(short.signal.per_cdm2, at.shape)[at]
     variances = (per_long / weight_long[at], per_short / weight_short[at])
