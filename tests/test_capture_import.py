@@ -250,7 +250,7 @@ def test_an_offset_that_differs_from_exif_is_noted(session: Session, tmp_path: P
     assert same.exit_code == 0 and "EXIF" not in same.output
     again = CliRunner().invoke(main, words)
     assert "camera clock: UTC -07:00, stated in EXIF\n" in again.output
-    assert "0 brackets with 0 frames" in again.output and "12 brackets were already imported" in (
+    assert "0 brackets with 0 frames" in again.output and "already imported: 12 brackets" in (
         again.output
     )
 

@@ -269,5 +269,7 @@ def test_the_command_itself_goes_on_after_a_kill(tmp_path: Path) -> None:
     child.kill()
     child.wait()
     done = CliRunner().invoke(main, [*words[3:5], "--clock", "fast"])
-    assert done.exit_code == 0 and "2 brackets, 0 missed, 0 aborted" in done.stdout, done.stderr
+    assert done.exit_code == 0 and "brackets: 2 done, 0 missed, 0 aborted" in done.stdout, (
+        done.stderr
+    )
     assert len(frames_of(session)) == 8

@@ -123,13 +123,13 @@ def _show_end(root: Path, slots: list[SlotState]) -> None:
     outcomes = Counter(slot.outcome for slot in slots)
     done, missed, aborted = outcomes["done"], outcomes["missed"], outcomes["aborted"]
     with suppress(OSError):  # the terminal may be closed by now
-        click.echo(f"{root}: {done} brackets, {missed} missed, {aborted} aborted")
+        click.echo(f"{root}: brackets: {done} done, {missed} missed, {aborted} aborted")
     if aborted:
         why = [slot.why for slot in slots if slot.outcome == "aborted"][-1]
         terminal.say(f"the last aborted bracket: {why}")
     if aborted > done:
         raise DeviceError(
-            f"{aborted} brackets aborted, but only {done} completed; find the cause with fieldlum "
+            f"brackets: {aborted} aborted, only {done} completed; find the cause with fieldlum "
             f"doctor {root}, then plan the lost hours again with fieldlum plan {root} --replan"
         )
 

@@ -111,7 +111,7 @@ def command(
     if report.withdrawn:
         line += f"; rows of an earlier import that were removed: {report.withdrawn}"
     if report.known:
-        line += f"; {report.known} brackets were already imported"
+        line += f"; already imported: {counted(report.known, 'bracket')}"
     click.echo(f"{session.root}: {line}")
     terminal.notes(PairsFile.find(session.pairs).pair_again)
 

@@ -88,8 +88,8 @@ def command(
         result = simulate.run(session, weather, **picture, scheduler=scheduler, force=force)
     answer = {"session": str(session.root), "rendered": result.rendered, "kept": result.kept}
     answer |= {"dark": result.dark, "weather": result.weather, "size": size, "quality": chosen}
-    dark = f", {result.dark} slots without light" if result.dark else ""
-    hours = f"{result.rendered} hours rendered, {result.kept} unchanged{dark}"
+    dark = f", {result.dark} without light" if result.dark else ""
+    hours = f"hours: {result.rendered} rendered, {result.kept} unchanged{dark}"
     line = f"{session.root}: {hours}; weather: {result.weather}"
     terminal.print_answer(as_json, answer, [line])
 

@@ -223,7 +223,7 @@ def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
         axes.set_ylabel("altitude (degrees)")
         axes.xaxis.set_major_formatter(lambda azimuth, _: f"{azimuth % 360.0:g}")
         axes.set_title(
-            f"Sky view of {view.captures} captures: blue is sky (by openness), yellow no lens saw"
+            f"Sky view, captures: {view.captures}; blue is sky (by openness), yellow no lens saw"
             + (", red circles are captured discs of the sun" if len(suns) else "")
             + "\nsky well below the lowest path of the sun is not examined: it stays white",
             fontsize=9,

@@ -25,7 +25,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.files import open_to_read, read_bytes
 from fieldlum.core.plot_style import new_figure, styled
 from fieldlum.core.progress import progress
-from fieldlum.core.records import JsonTable, Room, parse_utc
+from fieldlum.core.records import JsonTable, Room, counted, parse_utc
 from fieldlum.optics import projection
 from fieldlum.report.page import comparison_png, png
 from fieldlum.room.scene.box_room import WALLS, wall_named
@@ -337,7 +337,7 @@ def surface_sentences(surfaces: Sequence[JsonTable]) -> list[str]:
     mix light and dark: they are not named.
     """
     total = surfaces[0]
-    median = f"in the median of {total['pictures']} pictures"
+    median = f"in the median of {counted(total['pictures'], 'picture')}"
     text = [f"The model is {_error_text(total['ratio'])} {median}."]
     parts = [surface for surface in surfaces if surface["name"] not in _NOT_JUDGED]
     if len(parts) < 3:

@@ -333,8 +333,8 @@ def _data_sheet(session: Session, s: Statement, notes: Sequence[str], count: int
     return f"""# {s.title}
 
 - **Who**: {"; ".join(s.authors)}. Licence: {s.licence}. Published by: {s.publisher}.
-- **What**: luminance captures of {setup.site.name}: {captured} brackets, {merged} merged maps in
-  cd/m2 with uncertainty and flags, irradiance in W/m2; {count} files.
+- **What**: luminance of {setup.site.name}: {counted(captured, "bracket")}, {counted(merged, "map")}
+  in cd/m2 with uncertainty and flags, irradiance in W/m2; {counted(count, "file")}.
 - **When**: {first} to {last}, UTC. **Where**: latitude and longitude in session.toml.
 - **How**: camera profile "{setup.camera.profile or "none stated"}", heading
   {setup.camera.heading_deg:g} degrees from true north; merged and paired by fieldlum {__version__}.

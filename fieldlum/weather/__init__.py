@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
-from fieldlum.core.records import Site, SiteFile
+from fieldlum.core.records import Site, SiteFile, counted
 from fieldlum.core.strict_csv import lines_of, read_text
 from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import direction
@@ -158,7 +158,7 @@ def _in_utc(
     offset = sun.standard_offset(site.timezone, TYPICAL_YEAR)
     rows = [row for row in table.rows if (row.when.month, row.when.day) != (2, 29)]
     if left_out := len(table.rows) - len(rows):
-        repairs.append(f"29 February left out ({left_out} hours): a typical year has 365 days")
+        repairs.append(f"29 February left out ({counted(left_out, 'hour')}): in no typical year")
     local = [row.when.replace(year=TYPICAL_YEAR) - table.clock + shift + offset for row in rows]
     return [
         row._replace(when=when.replace(year=TYPICAL_YEAR) - offset)
@@ -194,7 +194,7 @@ def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
     values = np.array([(row.ghi, row.dhi, row.dni) for row in rows]).T  # [3, n]
     altitude = sun.position([row.when for row in rows], place).altitude_deg
     if (codes := (values < _LOWEST_BY_DAY_WM2) & (altitude > 10.0)).any():
-        repairs.append(f"{int(codes.any(axis=0).sum())} hours negative by day count as missing")
+        repairs.append(f"{counted(codes.any(0).sum(), 'hour')} negative by day count as missing")
         values[codes] = np.nan
     dark = (altitude > 0.0) & ~(values > 0.0).any(axis=0) & (values == 0.0).any(axis=0)
     spell = np.cumsum(~dark)  # one number for all dark hours in sequence
@@ -202,11 +202,11 @@ def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
     is_high = (altitude > _HIGH_SUN_DEG) | (is_noon & (altitude > _HIGH_NOON_DEG))
     dark &= np.isin(spell, spell[dark & is_high])
     if 0 < dark.sum() <= _MAX_DARK_SHARE * (altitude > 0.0).sum():
-        repairs.append(f"{int(dark.sum())} hours without any light by day count as missing")
+        repairs.append(f"{counted(dark.sum(), 'hour')} without any light by day count as missing")
         values[:, dark] = np.nan
     negative = values < 0
     if negative.any():
-        found = f"{int(negative.any(axis=0).sum())} hours with negative irradiance"
+        found = f"{counted(int(negative.any(axis=0).sum()), 'hour')} with negative irradiance"
         lowest = f"down to {np.nanmin(values):.1f} W/m2, a night offset"
         repairs.append(f"{found} ({lowest}) set to zero")
     return np.where(negative, 0.0, values)

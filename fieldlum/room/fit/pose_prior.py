@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.records import Site
+from fieldlum.core.records import Site, counted
 from fieldlum.room.fit.guess import Guess
 from fieldlum.room.fit.parameters import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
 from fieldlum.sky.sky_view.measured_discs import (
@@ -82,8 +82,6 @@ def pose_note(pose: PoseFit, discs: int) -> str:
         for name in _FITTED
         for kind, _, unit in [name.rpartition("_")]
     )
-    left_out = f"; {len(pose.dropped)} discs omitted as gross errors" if pose.dropped else ""
-    return (
-        f"correction by {discs} measured sun discs (residual {pose.rms_deg:.2f} degrees rms): "
-        f"{differences}{left_out}"
-    )
+    left_out = f"; omitted as gross errors: {len(pose.dropped)}" if pose.dropped else ""
+    found = f"correction by {counted(discs, 'measured sun disc')} (rms {pose.rms_deg:.2f} degrees)"
+    return f"{found}: {differences}{left_out}"

@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldlum.core.arrays import ArrayLike, Floats
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import Site
+from fieldlum.core.records import Site, counted
 from fieldlum.optics.projection import rotation
 from fieldlum.session import Session
 from fieldlum.session.files.sidecar import Sidecar
@@ -124,7 +124,7 @@ def fit_pose(
     if len(discs) < minimum:
         needed = f"at least {minimum} are needed to fit north, level and clock"
         remedy = "capture clear hours with the sun in view"
-        raise NotEnoughDataError(f"{len(discs)} measured sun discs, but {needed}: {remedy}")
+        raise NotEnoughDataError(f"{counted(len(discs), 'measured sun disc')}, {needed}: {remedy}")
     place = sun.position(list(discs.t_utc), site)
     bent = place.apparent_altitude_deg - place.altitude_deg  # refraction [n] deg
     shown = sun.direction(discs.altitude_deg - bent, discs.azimuth_deg)

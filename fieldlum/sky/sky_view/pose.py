@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.records import JsonTable, Site
+from fieldlum.core.records import JsonTable, Site, counted
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, rotation, signed_angle_deg
 from fieldlum.sky.sky_view import measured_discs
 
@@ -167,14 +167,13 @@ def pose_of_discs(discs: measured_discs.MeasuredDiscs, site: Site, axis_deg: flo
     used = len(discs) - len(fit.dropped)
     if used < measured_discs.MIN_DISCS and np.max(np.abs(fit.values) / prior) > _CONTRADICTION:
         note = (
-            f"{used} measured sun discs contradict the stated pose ({_angles(fit)}) and are not "
-            "used: check the heading in SITE.toml, or capture three clear hours with the sun in "
-            "view"
+            f"measured sun discs contradict the stated pose: {used} ({_angles(fit)}), not used: "
+            "check the heading in SITE.toml, or capture three clear hours with the sun in view"
         )
         return replace(stated, notes=(note,))
     dropped = f"; {len(fit.dropped)} omitted as gross errors" if fit.dropped else ""
     note = (
-        f"pose by {len(discs)} measured sun discs{dropped}: {_angles(fit)}, lens scale "
+        f"pose by {counted(len(discs), 'measured sun disc')}{dropped}: {_angles(fit)}, lens scale "
         f"{100 * fit['lens_scale']:+.2f} +- {100 * fit.u['lens_scale']:.2f} %"
     )
     covariance = fit.covariance[:4, :4]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Mask
-from fieldlum.core.records import Room, SiteFile
+from fieldlum.core.records import Room, SiteFile, counted
 from fieldlum.optics.projection import direction
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.view import SkyView
@@ -183,7 +183,7 @@ def disc_source(view: SkyView | None, setup: SiteFile, file: str = "") -> str:
         return "the stated room: the model has no sky view; train it again"
     filled = "; the stated room where no lens saw" if setup.room is not None else ""
     unseen = np.isnan(view.openness).any()
-    source = f"in {file}" if file else f"of {view.captures} captures"
+    source = f"in {file}" if file else f"of {counted(view.captures, 'capture')}"
     return f"the sky view {source}{filled if unseen else ''}"
 
 
