@@ -418,7 +418,7 @@ def test_the_sun_s_disc_has_a_ring() -> None:
     sunny[40, 120] = 1e8
     _, (plain, ringed) = picture_grid([dim, sunny], ["dim", "sunny"], 2, 2.0)
     assert not plain.lines
-    assert ringed.lines[0].get_xydata().tolist() == [[120.5, 40.5]]
+    assert np.array_equal(ringed.lines[0].get_xydata(), [[120.5, 40.5]])
 
 
 @pytest.mark.slow
