@@ -340,7 +340,7 @@ def _poses(
     The turn is zero if it is uncertain. angles: the estimated turn of each capture in the order of
     time [n, 3] deg; reliable: whether it can be used [n]; low_sun: other captures, which have the
     pose of the reliable ones before and after them, if these agree [n]; pixel_deg: size of a pixel;
-    sure: captures that have a turn of their own, even if none beside them has it [n].
+    sure: captures that have a turn of their own, even if no capture next to them has it [n].
     A camera does not turn until it is moved, so that consecutive captures have one pose.
     """
     out, used = np.zeros_like(angles), reliable.copy()
