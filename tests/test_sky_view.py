@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -82,6 +83,10 @@ def _view(
     captured = Captured(LIGHT, read, shares, elsewhere)
     taken = captured if rows is None else captured.take(rows.tolist())
     return estimate(taken, latitude_deg=latitude_deg)
+
+
+def _shown_on(pictures: Floats32, grid: SkyGrid, k: int) -> SkyPicture:
+    return SkyPicture(pictures[k], np.zeros((32, 32), bool), grid)
 
 
 def _pictures(openness: Floats, tau: float | Floats = 0.8, foreground: Floats | None = None):
@@ -186,6 +191,26 @@ def test_captured_discs_correct_the_glass_as_far_as_they_are_surer_than_the_sky(
     assert without + 0.3 * (0.8 - without) < one < 0.8
     assert one - 0.01 < glass({first: 0.8, second: 0.5}) < 0.8
     assert glass({first: 0.1}) == pytest.approx(without)
+
+
+@pytest.mark.analytic
+def test_a_low_disc_corrects_the_discs_at_its_altitude() -> None:
+    """A beam's luminous efficacy is unsure for a low sun, alike for all suns at that altitude."""
+    grid, altitude_deg = replace(GRID, heading_deg=230.0), LIGHT.apparent_altitude_deg
+    sky = LIGHT.sky_at(grid.rays().reshape(-1, 3)).reshape(-1, 32, 32)
+    pictures = (0.6 * sky * _clouds()).astype(np.float32)
+    inside, row, column = grid.indices(LIGHT.apparent_sun_direction)
+    inside &= (column > 4) & (column < 28) & (LIGHT.direct_lx > 2000.0)
+    low = int(np.flatnonzero(inside)[np.argmin(altitude_deg[inside])])
+
+    def glass(share: float) -> Floats:
+        shares = np.where(np.arange(len(LIGHT)) == low, share, np.nan)
+        read = partial(_shown_on, pictures, grid)
+        return estimate(Captured(LIGHT, read, shares)).transmittance
+
+    gain = np.median(glass(0.8) / glass(np.nan), axis=1)
+    assert altitude_deg[low] < 10.0 and gain[row[low]] > 1.2
+    assert 1.0 < gain[2] < 1.0 + 0.5 * (gain[row[low]] - 1.0)
 
 
 @pytest.mark.analytic

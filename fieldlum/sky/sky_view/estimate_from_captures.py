@@ -694,8 +694,8 @@ def _corrected_by_discs(
     # Scattering panes behind which several suns showed no disc are shut.
     suns = decided.view.pose.in_pictures(captured.light.apparent_sun_direction)
     shut = _panes_without_disc(decided.view, decided.scatters, suns, captured.disc_share)
-    # All discs together correct the transmittance. Then each capture that contradicts a view of
-    # its days corrects that view where the sun was.
+    # All discs together correct the transmittance. Then each capture that contradicts a view of its
+    # days corrects that view where the sun was.
     gain, views, contradictions = _gain(decided.view, captured), [], dict.fromkeys(covered, _DARK)
     for view in (decided.view, *decided.seasons):
         holds = view.days_from(captured.light.day_of_year) <= REACH_DAYS
@@ -730,35 +730,43 @@ def _contradiction_notes(contradictions: Mapping[datetime, str]) -> Iterator[str
 _DARK = "dark"  # what a capture through a blind shows
 
 
-def _gain(view: SkyView, captured: Captured) -> float:
-    """Return the factor by which captured discs correct the transmittance; 1 without such discs.
+def _gain(view: SkyView, captured: Captured) -> Floats:
+    """Return the factor by which captured discs correct the transmittance of each row of the grid.
 
     The factor is the mean of 1 and of the ratio of captured discs to the view's discs, weighted by
-    both uncertainties. Low suns count less, because their luminous efficacy is uncertain. Of two
-    discs the larger counts, of more the 60th percentile: an edge may hide a part. If one or two
-    discs are far from the view's, they show an edge between slats or leaves, not the pane, and do
-    not count.
+    both uncertainties; without such discs it is 1 [h]. The luminous efficacy of the beam is
+    uncertain for low suns, but has the same error at the same altitude: there a disc counts most.
+    Of two discs the larger counts, of more the 60th percentile: an edge may hide a part. If one or
+    two discs are far from the view's, they show an edge between slats or leaves, not the pane, and
+    do not count.
     """
     disc = disc_of_hours(view, captured.light)
     is_clear = captured.disc_share > _SHUT
     is_clear &= (disc.low_lx > 0.5 * disc.best_lx) & (disc.best_lx > 0.0)
     light = captured.light[is_clear]
     log_ratio = np.log(captured.disc_share[is_clear] * light.direct_lx / disc.best_lx[is_clear])
-    weight = 1.0 / (_DISC_U**2 + efficacy_u(light) ** 2)
+    u_disc, u_row = map(efficacy_u, (light.apparent_altitude_deg, view.grid.altitudes_deg))
     if len(log_ratio) < MIN_DISCS:
-        weight *= np.abs(log_ratio) < 2.0 * np.sqrt(_SCALE_SD**2 + 1.0 / weight)
-    if not weight.any():
-        return 1.0
-    measured = -np.quantile(-log_ratio, 0.4, weights=weight, method="inverted_cdf")
-    shrunk = measured / (1.0 + 1.0 / (weight.sum() * _SCALE_SD**2))
-    return float(np.clip(np.exp(shrunk), 0.5, 1.5))
+        u_ratio = np.sqrt(_SCALE_SD**2 + _DISC_U**2 + u_disc**2)
+        log_ratio, u_disc = (x[np.abs(log_ratio) < 2.0 * u_ratio] for x in (log_ratio, u_disc))
+    if not len(log_ratio):
+        return np.ones(view.grid.height)
+    weight = 1.0 / (_DISC_U**2 + (u_row[:, None] - u_disc) ** 2)  # [h, discs]
+    ratios = np.broadcast_to(-log_ratio, weight.shape)
+    measured = -np.quantile(ratios, 0.4, axis=1, weights=weight, method="inverted_cdf")
+    shrunk = measured / (1.0 + 1.0 / (weight.sum(axis=1) * (_SCALE_SD**2 + u_row**2)))
+    return np.clip(np.exp(shrunk), 0.5, 1.5)
 
 
-def _scaled(view: SkyView, gain: float, shut: Mask) -> SkyView:
-    """Return the view with transmittance and bounds times `gain`, no sky where `shut` [h, w]."""
+def _scaled(view: SkyView, gain: Floats, shut: Mask) -> SkyView:
+    """Return the view with transmittance and bounds times `gain` [h], and no sky where `shut`.
+
+    gain: a factor for each row; shut: mask [h, w].
+    """
+    gain = gain.astype(np.float32)[:, None]
     shares = np.where(shut, np.float32(0.0), [view.openness, view.low, view.high])
-    low, high = np.minimum(shares[1:] * np.float32(gain), 1.0)
-    pane = np.minimum(view.transmittance * np.float32(gain), 1.0)
+    low, high = np.minimum(shares[1:] * gain, 1.0)
+    pane = np.minimum(view.transmittance * gain, 1.0)
     return replace(view, openness=shares[0], transmittance=pane, low=low, high=high)
 
 

@@ -159,17 +159,17 @@ def drawn_discs_lx(
             filled = room_shares(setup.room, suns.reshape(-1, 3)).reshape(filled.shape)
         part = shares[:, open_hours]
         shares[:, open_hours] = np.where(np.isnan(part), filled, part)
-    efficacy = np.exp(rng.normal(0.0, 1.0, (count, 1)) * efficacy_u(light))
+    efficacy = np.exp(rng.normal(0.0, 1.0, (count, 1)) * efficacy_u(light.apparent_altitude_deg))
     return np.nan_to_num(shares) * light.direct_lx * efficacy
 
 
-def efficacy_u(light: Light) -> Floats:
-    """Return the relative standard uncertainty of the beam's luminous efficacy in n hours, [n].
+def efficacy_u(altitudes_deg: Floats) -> Floats:
+    """Return the relative standard uncertainty of the beam's luminous efficacy, [n].
 
-    It is 4 % for each air mass, 1 / sin(altitude), of Perez's efficacy compared with SPECTRL2 and
-    Littlefair 1988.
+    altitudes_deg: apparent altitudes of the sun [n]. It is 4 % for each air mass, 1 /
+    sin(altitude), of Perez's efficacy compared with SPECTRL2 and Littlefair 1988.
     """
-    return _EFFICACY_U / np.sin(np.radians(np.maximum(light.apparent_altitude_deg, 3.0)))
+    return _EFFICACY_U / np.sin(np.radians(np.maximum(altitudes_deg, 3.0)))
 
 
 def disc_source(view: SkyView | None, setup: SiteFile, file: str = "") -> str:
