@@ -233,6 +233,25 @@ def test_a_card_told_another_clock_leaves_the_wrong_slots(session: Session, tmp_
     assert (again.brackets, again.known, again.moved) == (0, 6, ())
 
 
+@pytest.mark.contract
+def test_a_bracket_that_now_matches_no_slot_leaves_the_wrong_one(
+    session: Session, tmp_path: Path
+) -> None:
+    """A bracket an hour before the plan lay in the first slot, and the right one was "known"."""
+    early = replace(PLAN[0], t_utc=DAWN - timedelta(hours=1))
+    write_card(tmp_path / "card", card([early, *PLAN[:3]], PDT_S))
+    wrong = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S - 3600.0)
+    assert wrong.moved == () and wrong.slots == tuple(slot.id for slot in PLAN[:4])
+    right = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S)
+    assert right.moved == wrong.slots and (right.brackets, right.known) == (3, 0)
+    assert "no slot within 20 min (2027-03-20T13:30:00Z)" in right.left_out[0]
+    for slot in PLAN[:3]:
+        note = json.loads((session.raw / slot.id / "capture.json").read_text())
+        assert note["frames"][0]["file"].startswith(f"{slot.t_utc + timedelta(hours=-7):%d%H%M}")
+    again = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S + 30.0)
+    assert (again.brackets, again.known, again.moved) == (0, 3, ()), "half a minute is no hour"
+
+
 @pytest.mark.slow
 @pytest.mark.contract
 def test_an_offset_that_differs_from_exif_is_noted(session: Session, tmp_path: Path) -> None:

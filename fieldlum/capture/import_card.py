@@ -3,7 +3,7 @@
 import re
 import shutil
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -13,7 +13,7 @@ from typing import Any
 from fieldlum.capture import match_card
 from fieldlum.capture.bracket import FrameRequest, frame_requests, write_capture
 from fieldlum.capture.import_logger import import_rows
-from fieldlum.capture.match_card import CardFrame, Group, Match, Offset, Report
+from fieldlum.capture.match_card import CardFrame, Clocks, Group, Match, Offset, Report
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot, listed
@@ -62,7 +62,7 @@ def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> 
     """
     setup, slots = session.site_file(), session.slots()
     groups, left_out = _brackets(folder, setup, slots, utc_offset_s is not None)
-    clocks: list[tuple[list[Group], Offset]] = []
+    clocks: list[tuple[Sequence[Group], Offset]] = []
     notes: list[str] = []
     refused: list[InputError] = []
     zone = setup.site.timezone
@@ -89,7 +89,7 @@ def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> 
         raise NotEnoughDataError(f"{folder}: {found}; check --utc-offset and the plan")
     notes += match_card.clock_steps(clocks)
     notes += [_missing_text(match, setup.camera) for match in matches]
-    new, moved = _import_brackets(session, setup.camera, matches)
+    new, moved = _import_brackets(session, setup.camera, clocks, matches)
     offsets = tuple(offset for _, offset in clocks)
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
     imported = session.table().get("imported", {})
@@ -182,14 +182,16 @@ def _missing_text(match: Match, setup: CameraSetup) -> str:
 
 
 def _import_brackets(
-    session: Session, setup: CameraSetup, matches: Sequence[Match]
+    session: Session, setup: CameraSetup, clocks: Clocks, matches: Sequence[Match]
 ) -> tuple[list[Match], tuple[str, ...]]:
-    """Import every bracket whose slot is not yet done in the journal.
+    """Import every matched bracket whose slot is not yet done in the journal.
 
-    Return the imported brackets, and the ids of slots that an earlier import had filled wrongly.
+    clocks: all brackets of the card, with the offset of their clock. Return the imported brackets,
+    and the ids of slots that an earlier import had filled wrongly.
     """
+    slots = {match.group: match.slot.id for match in matches}
     with closing(Journal(session)) as journal:
-        moved = remove_misplaced(session, journal, read_slot_states(session), matches)
+        moved = remove_misplaced(session, journal, read_slot_states(session), clocks, slots)
         states = read_slot_states(session)
         new = [m for m in matches if states.state(m.slot.id).outcome != "done"]
         for number, match in enumerate(new, start=1):
@@ -247,18 +249,23 @@ def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, matc
 
 
 def remove_misplaced(
-    session: Session, journal: Journal, states: SlotStates, matches: Sequence[Match]
+    session: Session,
+    journal: Journal,
+    states: SlotStates,
+    clocks: Clocks,
+    slots: Mapping[Group, str],
 ) -> tuple[str, ...]:
     """Remove imported brackets whose frames now have another slot or time; return their slots' ids.
 
-    states: of the slots; matches: of the new import, each with its clock offset. Times differ if
-    they are over two minutes apart. The brackets' folders move to raw/withdrawn/, and what merge
-    wrote from them is deleted. The slots then have no bracket any more.
+    states: of the slots; clocks: all brackets of the new import with their clock offset; slots: ids
+    of the slots of those that match one. Times differ if they are over two minutes apart. The
+    brackets' folders move to raw/withdrawn/, and what merge wrote from them is deleted. The slots
+    then have no bracket any more.
     """
-    cards: dict[str, list[tuple[Match, CardFrame]]] = {}
-    for match in matches:
-        for card in match.group.frames:
-            cards.setdefault(card.path.name, []).append((match, card))
+    cards: dict[str, list[tuple[CardFrame, Offset, str]]] = {}
+    for group, offset in ((group, offset) for part, offset in clocks for group in part):
+        for card in group.frames:
+            cards.setdefault(card.path.name, []).append((card, offset, slots.get(group, "")))
     withdrawn: list[str] = []
     for slot, state in states.slots.items():
         pairs = [(frame, *card) for frame in state.frames for card in cards.get(frame.file, ())]
@@ -272,15 +279,16 @@ def remove_misplaced(
     return tuple(withdrawn)
 
 
-def _is_elsewhere(slot: str, frame: Frame, match: Match, card: CardFrame) -> bool:
+def _is_elsewhere(slot: str, frame: Frame, card: CardFrame, offset: Offset, now: str) -> bool:
     """Return whether a frame that was imported into `slot` now has another slot or time.
 
-    match, card: of the new import; a card's frame of the same name but another content is another
-    frame, which gives False.
+    card: of the new import; a card's frame of the same name but another content is another frame,
+    which gives False. offset: of its clock; now: its slot, "" if it matches none, or if another
+    bracket of the slot is better.
     """
-    difference = match_card.true_time(card.t_camera, match.offset) - frame.t_utc
+    difference = match_card.true_time(card.t_camera, offset) - frame.t_utc
     # A refined clock offset changes times by less than two minutes.
-    is_elsewhere = slot != match.slot.id or abs(difference.total_seconds()) > 120.0
+    is_elsewhere = now not in ("", slot) or abs(difference.total_seconds()) > 120.0
     return is_elsewhere and frame.sha256 == sha256(card.path)
 
 

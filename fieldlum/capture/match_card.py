@@ -67,6 +67,10 @@ class Offset:
     exif_s: tuple[float, ...] = ()
 
 
+# Brackets of each part of a card, in order of time, with the offset of their clock.
+Clocks = Sequence[tuple[Sequence[Group], Offset]]
+
+
 @dataclass(frozen=True, slots=True)
 class Match:
     """A bracket on a card, and the planned slot it belongs to.
@@ -233,7 +237,7 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
 
 
 def match_groups(
-    clocks: Sequence[tuple[Sequence[Group], Offset]], slots: Sequence[Slot]
+    clocks: Clocks, slots: Sequence[Slot]
 ) -> tuple[list[Match], list[tuple[Group, str]]]:
     """Match brackets to the nearest slot within 20 minutes.
 
@@ -440,7 +444,7 @@ def _best_path(near: np.ndarray, civil_h: Sequence[int]) -> list[int]:
     return path[::-1]
 
 
-def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
+def clock_steps(clocks: Clocks) -> list[str]:
     """Return a note on each change of the camera's clock by over half an hour between two parts.
 
     clocks: brackets of each part, in order of time, with the fitted offset. Brackets that were
