@@ -164,8 +164,42 @@ def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
     said = offset_contradiction(groups, MONTH[:60], Offset(PST_S, "--utc-offset"), ZONE)
     assert said.startswith(
         "with the offset of the camera's clock (--utc-offset), 55 of 60 brackets are near slots; "
-        "with an offset changed by +1 h it would be 60"
+        "with --utc-offset -07:00 it would be 60"
     )
+    in_exif = Offset(0.0, "stated in EXIF", (PST_S,))
+    utc = [bracket(slot, 3600.0) for slot in MONTH[:60]]
+    assert "with --utc-offset -07:00 it" in offset_contradiction(utc, MONTH[:60], in_exif, ZONE)
+    two = replace(in_exif, exif_s=(PST_S, PDT_S))
+    assert "an offset changed by +1 h" in offset_contradiction(utc, MONTH[:60], two, ZONE)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("day", [0, 2, 4])
+@pytest.mark.parametrize("change", [-3600.0, 3600.0])
+def test_a_clock_of_a_single_day_is_doubted(day: int, change: float) -> None:
+    """One bracket of such a day is near no slot, which is too little to split the card."""
+    slots = MONTH[:60]
+    clocks_s = [change if i // 12 == day else 0.0 for i in range(60)]
+    groups = [bracket(slot, c) for slot, c in zip(slots, clocks_s, strict=True)]
+    said = offset_contradiction(groups, slots, Offset(0.0, "fitted to the plan"), ZONE)
+    assert said == (
+        "with the offset of the camera's clock (fitted to the plan), 11 of 12 brackets from "
+        f"{slots[12 * day].id}_0.dng to {slots[12 * day + 11].id}_2.dng are near slots; "
+        f"with --utc-offset {'+' if change > 0 else '-'}01:00 it would be 12: if the clock was "
+        "set, import the frames of that day alone, with that option"
+    )
+
+
+@pytest.mark.contract
+def test_brackets_beside_the_plan_are_no_clock_of_a_day() -> None:
+    """One before the first slot, one very late, one left out, and an evening of practice."""
+    slots = MONTH[:60]
+    practice = [replace(slots[0], t_utc=slots[0].t_utc - timedelta(hours=h)) for h in (14, 13)]
+    early = replace(slots[12], t_utc=slots[12].t_utc - timedelta(hours=1))
+    groups = [bracket(slot, 0.0) for slot in (*practice, *slots[:12], early, *slots[12:])]
+    groups[20] = bracket(slots[18], 1500.0)
+    del groups[30]
+    assert offset_contradiction(groups, slots, Offset(0.0, "fitted to the plan"), ZONE) == ""
 
 
 @pytest.mark.slow

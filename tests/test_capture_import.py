@@ -334,7 +334,7 @@ def test_a_toa5_file_comes_in_by_the_command(session: Session, tmp_path: Path) -
     path.write_text(head + '"","","Avg","Avg"\n' + rows + '"2027-03-20 06:50:00",20,"NAN')
     words = ["import", str(session.root), "--irradiance", str(path)]
     refused = CliRunner().invoke(main, words)
-    assert refused.exit_code == 3 and "--utc-offset" in refused.output
+    assert refused.exit_code == 3 and "--logger-utc-offset +HH:MM" in refused.output
     done = CliRunner().invoke(main, [*words, "--utc-offset", "-08:00"])
     assert done.exit_code == 0 and "20 rows of irradiance" in done.output
     assert "not imported: " in done.output

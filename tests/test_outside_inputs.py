@@ -916,7 +916,7 @@ def test_a_column_of_offsets_counts_and_another_zone_is_named(tmp_path: Path, na
     assert f"offsets in column {name} count, not --utc-offset" in stated.notes[1]
     path.write_text(f"time,{name},ghi_wm2\n2027-03-28 01:30,CET,5\n")
     assert f"{name} (CET) is not used" in read_logger_file(path, timedelta(hours=1)).notes[1]
-    with pytest.raises(InputError, match="state it with --utc-offset"):
+    with pytest.raises(InputError, match="state it with --logger-utc-offset"):
         read_logger_file(path)
 
 
@@ -949,7 +949,7 @@ def test_a_zone_in_the_heading_counts(tmp_path: Path, head: str, hours: int) -> 
     assert read.samples[0].t_utc == datetime(2027, 3, 20, 6, tzinfo=UTC) - timedelta(hours=hours)
     assert any("--utc-offset" in n or "no offset" in n for n in read.notes) == (hours != 2)
     (tmp_path / "a.csv").write_text("when,ghi_wm2\n2027-03-20 06:00:00,160\n")
-    with pytest.raises(InputError, match="t_utc if its times are in UTC, else time, and state"):
+    with pytest.raises(InputError, match="t_utc if it is in UTC, else time, and state --logger"):
         read_logger_file(tmp_path / "a.csv", timedelta(0))
 
 

@@ -464,26 +464,51 @@ def offset_contradiction(
 ) -> str:
     """Return why the plan contradicts an offset of the camera's clock; "" if it does not.
 
-    offset: with which the brackets `groups` are imported; slots: of the plan. Two errors are
-    detected: an offset that is wrong by full hours, up to 26 (time zone or date), and a clock that
-    was set between brackets. groups: in order of time; zone: IANA name.
+    offset: with which the brackets `groups` are imported; slots: of the plan. Three errors are
+    detected: an offset that is wrong by full hours, up to 26 (time zone or date), a clock that was
+    set between brackets, and one that was set for so few days that their brackets are too few for
+    `clock_parts`. groups: in order of time; zone: IANA name.
     """
-    near = {hour: _near_slots(groups, slots, offset.seconds + 3600.0 * hour) for hour in _HOURS}
-    best_hour = max(near, key=near.__getitem__)
-    if near[best_hour] >= near[0] + _EVIDENCE:
-        remedy = "check the camera's clock and date, and state --utc-offset"
-        if abs(best_hour) == 24:
+    hour, found = _better_hour(groups, slots, offset, _EVIDENCE)
+    if hour:
+        remedy = "check the camera's clock and date, and state the right --utc-offset"
+        if abs(hour) == 24:
             remedy = "WARNING: the dates are a day wrong: correct them and import again: "
-            remedy += f'exiftool -AllDates{"+-"[best_hour > 0]}="0:0:1 0:0:0" FOLDER'
+            remedy += f'exiftool -AllDates{"+-"[hour > 0]}="0:0:1 0:0:0" FOLDER'
+        return f"{found}: {remedy}"
+    if len(parts := clock_parts(groups, slots, zone)) > 1:
         return (
-            f"with the offset of the camera's clock ({offset.how}), {near[0]} of {len(groups)} "
-            f"brackets are near slots; with an offset changed by {best_hour:+g} h it "
-            f"would be {near[best_hour]}: {remedy}"
+            f"one clock offset ({offset.how}) was used for all brackets, but the plan suggests "
+            f"that the camera's clock was changed before {parts[1][0].frames[0].path}: import the "
+            "two parts from separate folders, each with its own --utc-offset"
         )
-    if len(parts := clock_parts(groups, slots, zone)) == 1:
-        return ""
-    return (
-        f"one clock offset ({offset.how}) was used for all brackets, but the plan suggests that "
-        f"the camera's clock was changed before {parts[1][0].frames[0].path}: import the two parts "
-        "from separate folders, each with its own --utc-offset"
+    # Brackets of a day that is not in the plan are near no slot, and are not imported.
+    days = (d for d in split_at_gaps(groups, _NIGHT_S) if _near_slots(d, slots, offset.seconds))
+    ends = ((d, d[0].frames[0].path, d[-1].frames[-1].path.name) for d in days)
+    better = [_better_hour(d, slots, offset, 1, f" from {a} to {b}") for d, a, b in ends]
+    doubts = [found for hour, found in better if 0 < abs(hour) <= 12]
+    remedy = "if the clock was set, import the frames of that day alone, with that option"
+    return f"{'; '.join(doubts)}: {remedy}" if doubts else ""
+
+
+def _better_hour(
+    groups: Sequence[Group], slots: Sequence[Slot], offset: Offset, evidence: int, which: str = ""
+) -> tuple[int, str]:
+    """Return the change of the clock's offset [h] that brings most brackets near slots, and a text.
+
+    The change is 0 unless it brings `evidence` more brackets near slots than the offset itself. Of
+    equal ones the smallest is returned. The text compares both; which: of the brackets, for it.
+    """
+    hours = sorted(_HOURS, key=abs)
+    near = [_near_slots(groups, slots, offset.seconds + 3600.0 * hour) for hour in hours]
+    hour = hours[near.index(max(near))] if max(near) >= near[0] + evidence else 0
+    in_exif_s = offset.exif_s or (0.0,)
+    clock_s = in_exif_s[0] + offset.seconds + 3600.0 * hour
+    option = f"--utc-offset {offset_text(clock_s)}"
+    # No clock is over 14 h from UTC; one option cannot replace several offsets in EXIF.
+    if len(in_exif_s) > 1 or abs(clock_s) > 14 * 3600.0 or abs(hour) == 24:
+        option = f"an offset changed by {hour:+g} h"
+    return hour, (
+        f"with the offset of the camera's clock ({offset.how}), {near[0]} of {len(groups)} "
+        f"brackets{which} are near slots; with {option} it would be {max(near)}"
     )

@@ -598,7 +598,7 @@ class _TimeColumns:
         candidates = [*([k] for k in stamps), *others] or unnamed
         if not candidates:
             columns = f"columns {', '.join(table.names)[:120]}"
-            remedy = "name it t_utc if its times are in UTC, else time, and state --utc-offset"
+            remedy = "name it t_utc if it is in UTC, else time, and state --logger-utc-offset"
             raise InputError(path, columns, "a column t_utc or time", remedy)
         in_utc = {k for k, zone in enumerate(zones) if zone and not zone[1]}
         self._columns = min(candidates, key=in_utc.isdisjoint)  # the first in UTC, else the first
@@ -659,7 +659,7 @@ class _TimeColumns:
         if t.tzinfo is None:
             if self._utc_offset is None:
                 expected = "the logger's offset from UTC"
-                remedy = "state it with --utc-offset +HH:MM"
+                remedy = "state it with --logger-utc-offset +HH:MM"
                 raise InputError(self._path, "times without a time zone", expected, remedy)
             self._check_step(t)
             t = t.replace(tzinfo=UTC) - self._utc_offset

@@ -188,7 +188,7 @@ def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
     if len(lit) > 5:
         dark = f"{len(lit)} minutes with the sun well below the horizon"
         finding = f"irradiance was logged in {dark}, first at {utc_text(lit[0])}"
-        remedy = "check the logger's clock (fieldlum import --utc-offset) and the longitude's sign"
+        remedy = "check the logger's clock (import --logger-utc-offset) and the longitude's sign"
         raise InputError(path, finding, "no light at night", remedy)
 
 

@@ -393,8 +393,8 @@ def _of_log(
     if night_wm2 is not None and abs(night_wm2) >= NIGHT_OFFSET_WARN_WM2:
         cause = "clean and ventilate the instrument, and check its zero in the dark"
         if night_wm2 > 20.0:  # larger than any instrument's offset
-            cause = "check for a lamp, the logger's clock, --utc-offset of fieldlum import, and "
-            cause += "longitude_deg; then import again"
+            cause = "check for a lamp, the logger's clock, --logger-utc-offset of fieldlum import, "
+            cause += "and longitude_deg; then import again"
         yield f"global irradiance of {night_wm2:+.1f} W/m2 at night instead of 0: {cause}"
     if closure is not None and closure < 0.8:
         share = f"global = diffuse + direct is true in only {100 * closure:.0f} % of the rows"
@@ -402,8 +402,8 @@ def _of_log(
     if off_s is not None and abs(off_s) > CLOCK_WARN_S:
         yield (
             f"the middle of the logged daylight is {off_s / 60:+.0f} min from solar noon: check "
-            "the logger's clock, its --utc-offset (daylight saving?) and longitude_deg, and import "
-            "the file again"
+            "the logger's clock, --logger-utc-offset (daylight saving?) and longitude_deg, and "
+            "import the file again"
         )
     if damaged:
         remedy = "check the disk, and do not edit these files"
