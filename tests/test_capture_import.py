@@ -151,6 +151,55 @@ def test_a_filter_and_turned_headings_repeat_exposures() -> None:
     assert import_card.planned_frames(again, slot, setup)[-2:] == [planned[-1]] * 2
 
 
+# Orders in which cameras take a bracket: as planned, the other way, and the middle one first.
+ORDERS = ((0, 1, 2, 3, 4), (4, 3, 2, 1, 0), (2, 1, 3, 0, 4))
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("headings", [(20.0, 200.0), (0.0, 120.0, 240.0)])
+def test_a_missing_frame_moves_no_other_one_to_another_heading(
+    order: tuple[int, ...], headings: tuple[float, ...]
+) -> None:
+    """The frame that a heading lacks was taken from the next heading's."""
+    setup, slot = CameraSetup(headings=headings), Slot(DAWN, 10.0, 120.0, LADDER)
+    taken: list[tuple[CardFrame, float]] = []
+    for k, heading in enumerate(headings):
+        shot = frames_at(DAWN + timedelta(seconds=15 * k), tuple(LADDER[i] for i in order))
+        taken += [(frame, heading) for frame in shot]
+    gone = [{i} for i in range(len(taken))] + [{i, j} for i in range(5) for j in range(5, i + 5)]
+    for lost in gone:
+        left = [pair for i, pair in enumerate(taken) if i not in lost]
+        (group,) = group_frames([frame for frame, _ in left], LADDER, len(headings))
+        planned = import_card.planned_frames(group, slot, setup)
+        expected = [(frame.exposure, heading) for frame, heading in left]
+        assert [(p.exposure, p.heading_deg) for p in planned] == expected, lost
+
+
+@pytest.mark.contract
+def test_frames_of_one_heading_and_exposures_beside_the_plan_keep_a_heading() -> None:
+    setup, slot = CameraSetup(headings=(20.0, 200.0)), Slot(DAWN, 10.0, 120.0, LADDER)
+    (one,) = group_frames(frames_at(DAWN), LADDER, 2)
+    planned = import_card.planned_frames(one, slot, setup)
+    assert planned == list(frame_requests(LADDER, setup))[:5]
+    beside = replace(LADDER[0], iso=800.0)
+    (group,) = group_frames(frames_at(DAWN, (*LADDER, *LADDER[:3], beside, *LADDER[3:])), LADDER, 2)
+    planned = import_card.planned_frames(group, slot, setup)
+    assert (planned[8].exposure, planned[8].heading_deg) == (beside, 200.0)
+
+
+@pytest.mark.contract
+def test_a_missing_frame_is_noted_with_its_heading(tmp_path: Path) -> None:
+    setup = CameraSetup(headings=(20.0, 200.0))
+    session = create_session(tmp_path / "s", SiteFile(SEATTLE, setup), PLAN[:1], {})
+    frames = frames_at(DAWN, (*LADDER, *LADDER))
+    write_card(tmp_path / "card", [*frames[:3], *frames[4:]])
+    report = import_card.run(session, tmp_path / "card", utc_offset_s=0.0)
+    assert "1 (1/30 f/5.6 ISO100 at heading 20)" in report.notes[0]
+    note = json.loads((session.raw / PLAN[0].id / "capture.json").read_text())
+    assert [f["heading_deg"] for f in note["frames"]] == [20.0] * 4 + [200.0] * 5
+
+
 @pytest.mark.contract
 def test_one_frame_is_not_two_exposures_with_and_without_a_filter() -> None:
     plan = [Slot(DAWN, 10.0, 120.0, (*LADDER, Exposure(1 / 125, 5.6, nd="nd3")))]

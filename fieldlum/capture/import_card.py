@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.session import Journal, Session, exposure_text, replacing_path, sha256, sole_user
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.folder import DeviceTable, update_session
-from fieldlum.session.slot_states import SlotState, SlotStates, read_slot_states
+from fieldlum.session.slot_states import SlotState, read_slot_states
 
 
 def run(
@@ -65,8 +66,7 @@ def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> 
     clocks: list[tuple[Sequence[Group], Offset]] = []
     notes: list[str] = []
     refused: list[InputError] = []
-    zone = setup.site.timezone
-    for part in _parts_of_one_clock(groups, slots, utc_offset_s, zone):
+    for part in _parts_of_one_clock(groups, slots, utc_offset_s, setup.site.timezone):
         try:
             offset = match_card.clock_offset(part, slots, setup, utc_offset_s)
         # One campaign has a wrong date, or brackets of another plan; others can still be imported.
@@ -77,9 +77,9 @@ def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> 
             continue
         clocks.append((part, offset))
         notes.append(match_card.exif_note(part, utc_offset_s))
-        notes.append(match_card.offset_contradiction(part, slots, offset, zone))
+        notes.append(match_card.offset_contradiction(part, slots, offset))
     if refused and clocks:  # a part that matches nothing can show what is wrong with all
-        notes.append(match_card.offset_contradiction(groups, slots, clocks[0][1], zone))
+        notes.append(match_card.offset_contradiction(groups, slots, clocks[0][1]))
     matches, others = match_card.match_groups(clocks, slots)
     left_out += [f"{_file_range(group)}: {why}" for group, why in others]
     if not matches:
@@ -141,21 +141,24 @@ def _parts_of_one_clock(
     parts = match_card.split_at_gaps(groups)
     if utc_offset_s is not None or not slots:
         return parts
-    pieces: list[list[Group]] = []
-    for part in parts:
-        is_utc = match_card.exif_states_offset(part)
-        pieces += [part] if is_utc else match_card.clock_parts(part, slots, zone)
-    return pieces
+    is_utc = match_card.exif_states_offset
+    pieces = ([p] if is_utc(p) else match_card.clock_parts(p, slots, zone) for p in parts)
+    return list(chain.from_iterable(pieces))
 
 
-def planned_frames(group: Group, slot: Slot, setup: CameraSetup) -> list[FrameRequest | None]:
-    """Return the planned frame for each frame of a card's bracket; None for one not in the plan.
+def planned_frames(group: Group, slot: Slot, setup: CameraSetup) -> list[FrameRequest]:
+    """Return the planned frame for each frame of a card's bracket.
 
-    slot: to which the bracket belongs; setup: with the headings of each bracket.
+    For one that is not in the plan it has the heading, but the exposure of the card. slot: to which
+    the bracket belongs; setup: with the headings of each bracket.
     """
-    requests = frame_requests(slot.exposures, setup)
-    indices = match_card.planned_indices(group, [request.exposure for request in requests])
-    return [None if index is None else requests[index] for index in indices]
+    requests, planned = iter(frame_requests(slot.exposures, setup)), list[FrameRequest]()
+    for part in match_card.split_by_heading(group, slot.exposures, len(setup.headings) or 1):
+        own = [next(requests) for _ in slot.exposures]
+        of_heading = match_card.planned_indices(part, slot.exposures)
+        for frame, k in zip(part.frames, of_heading, strict=True):
+            planned.append(replace(own[0], exposure=frame.exposure) if k is None else own[k])
+    return planned
 
 
 def missing_frames(match: Match, setup: CameraSetup) -> list[FrameRequest]:
@@ -174,11 +177,10 @@ def _missing_text(match: Match, setup: CameraSetup) -> str:
     detects the filter.
     """
     missing = missing_frames(match, setup)
-    if not missing:
-        return ""
-    shown = listed([exposure_text(request.exposure) for request in missing], 3)
+    heading = " at heading {:g}" if setup.headings else ""
+    shown = listed([exposure_text(r.exposure) + heading.format(r.heading_deg) for r in missing], 3)
     where = f"missing frames of slot {match.slot.id}"
-    return f"{_file_range(match.group)}: {where}: {len(missing)} ({shown})"
+    return f"{_file_range(match.group)}: {where}: {len(missing)} ({shown})" if missing else ""
 
 
 def _import_brackets(
@@ -189,9 +191,8 @@ def _import_brackets(
     clocks: all brackets of the card, with the offset of their clock. Return the imported brackets,
     and the ids of slots that an earlier import had filled wrongly.
     """
-    slots = {match.group: match.slot.id for match in matches}
     with closing(Journal(session)) as journal:
-        moved = remove_misplaced(session, journal, read_slot_states(session), clocks, slots)
+        moved = remove_misplaced(session, journal, clocks, {m.group: m.slot.id for m in matches})
         states = read_slot_states(session)
         new = [m for m in matches if states.state(m.slot.id).outcome != "done"]
         for number, match in enumerate(new, start=1):
@@ -229,8 +230,8 @@ def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, matc
         frame = Frame(
             index=index,
             file=name,
-            exposure=request.exposure if request else card.exposure,
-            heading_deg=request.heading_deg if request else next(iter(setup.headings), None),
+            exposure=request.exposure,
+            heading_deg=request.heading_deg,
             t_utc=match_card.true_time(card.t_camera, match.offset),
             seconds=card.exposure.shutter_s,
             sha256=sha256(folder / name),
@@ -238,9 +239,8 @@ def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, matc
         journal.append("frame", now, slot=slot.id, frame=frame_fields(frame))
         frames.append(frame)
     state = SlotState("done", 1, tuple(frames))
-    is_complete = not missing_frames(match, setup)
     about: DeviceTable = {"model": first.camera, "serial": first.serial}
-    write_capture(folder, slot, state, setup, about, complete=is_complete)
+    write_capture(folder, slot, state, setup, about, complete=not missing_frames(match, setup))
     journal.append("done", now, slot=slot.id, frames=len(frames), why="imported")
 
 
@@ -249,25 +249,21 @@ def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, matc
 
 
 def remove_misplaced(
-    session: Session,
-    journal: Journal,
-    states: SlotStates,
-    clocks: Clocks,
-    slots: Mapping[Group, str],
+    session: Session, journal: Journal, clocks: Clocks, slots: Mapping[Group, str]
 ) -> tuple[str, ...]:
     """Remove imported brackets whose frames now have another slot or time; return their slots' ids.
 
-    states: of the slots; clocks: all brackets of the new import with their clock offset; slots: ids
-    of the slots of those that match one. Times differ if they are over two minutes apart. The
-    brackets' folders move to raw/withdrawn/, and what merge wrote from them is deleted. The slots
-    then have no bracket any more.
+    clocks: all brackets of the new import with their clock offset; slots: ids of the slots of those
+    that match one. Times differ if they are over two minutes apart. The brackets' folders move to
+    raw/withdrawn/, and what merge wrote from them is deleted. The slots then have no bracket any
+    more.
     """
     cards: dict[str, list[tuple[CardFrame, Offset, str]]] = {}
     for group, offset in ((group, offset) for part, offset in clocks for group in part):
         for card in group.frames:
             cards.setdefault(card.path.name, []).append((card, offset, slots.get(group, "")))
     withdrawn: list[str] = []
-    for slot, state in states.slots.items():
+    for slot, state in read_slot_states(session).slots.items():
         pairs = [(frame, *card) for frame in state.frames for card in cards.get(frame.file, ())]
         is_imported = state.outcome == "done" and state.why == "imported"
         if is_imported and any(_is_elsewhere(slot, *pair) for pair in pairs):

@@ -15,7 +15,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Exposure, SiteFile, Slot, utc_text
+from fieldlum.core.records import Exposure, SiteFile, Slot, listed, utc_text
 from fieldlum.optics.exposure import same_exposure
 
 # Longest time between a slot and its bracket. Chosen: people start brackets minutes early or late,
@@ -124,10 +124,7 @@ def group_frames(
     """
     # Frames of one second are in order of the camera's file number, four digits at the name's end.
     ordered = sorted(frames, key=lambda f: (f.t_camera, f.path.stem[-4:], f.path.name))
-    gaps_s = [
-        (b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s
-        for a, b in pairwise(ordered)
-    ]
+    gaps_s = _pauses_s(ordered)
     usual_s = max(float(np.median(gaps_s)), 1.0) if gaps_s else 1.0
     pause_s = usual_s * (60.0 if headings > 1 else 10.0)
     groups: list[list[CardFrame]] = []
@@ -140,6 +137,12 @@ def group_frames(
                 continue
         groups.append([frame])
     return [Group(tuple(group)) for group in groups]
+
+
+def _pauses_s(frames: Sequence[CardFrame]) -> list[float]:
+    """Return the time from the end of each frame to the next one [s]."""
+    times = [(frame.t_camera.timestamp(), frame.exposure.shutter_s) for frame in frames]
+    return [t - (before + shutter_s) for (before, shutter_s), (t, _) in pairwise(times)]
 
 
 def split_at_gaps(groups: Sequence[Group], gap_s: float = 5 * 86400.0) -> list[list[Group]]:
@@ -156,8 +159,8 @@ def split_at_gaps(groups: Sequence[Group], gap_s: float = 5 * 86400.0) -> list[l
 def planned_indices(group: Group, planned: Sequence[Exposure]) -> list[int | None]:
     """Return the index in `planned` of each frame's exposure; None for one that is not planned.
 
-    EXIF states neither filter nor heading: frames of equal exposures get these indices in order,
-    and surplus frames get the last of them.
+    EXIF does not state filters: frames of equal exposures get these indices in order, and surplus
+    frames get the last of them. group: frames of one heading; planned: exposures of one.
     """
     indices: list[int | None] = []
     for frame in group.frames:
@@ -165,6 +168,37 @@ def planned_indices(group: Group, planned: Sequence[Exposure]) -> list[int | Non
         unused = [k for k in alike if k not in indices]
         indices.append((unused or alike[-1:] or [None])[0])
     return indices
+
+
+def split_by_heading(group: Group, planned: Sequence[Exposure], headings: int) -> list[Group]:
+    """Split a turned head's bracket into the frames of each heading; the last ones can be empty.
+
+    EXIF does not state headings, frames can be missing, and their order can differ from the plan's.
+    The split is that which covers most exposures, then that with the fewest headings, then that at
+    the longest pauses and largest steps of exposure (one planned exposure counts as one second).
+    planned: exposures of one heading; headings: their number.
+    """
+
+    def kind(exposure: Exposure) -> int:
+        """Return the first index of an exposure in `planned`, -1 if it is not planned."""
+        return next((k for k, e in enumerate(planned) if same_exposure(e, exposure)), -1)
+
+    wanted, kinds = Counter(map(kind, planned)), [kind(f.exposure) for f in group.frames]
+    turns = [0.0, *np.add(_pauses_s(group.frames), np.abs(np.diff(kinds)))]  # before each frame
+
+    def score(start: int, end: int) -> float:
+        """Return the score of some frames as those of one heading; 0 for none."""
+        covered = (Counter(kinds[start:end]) & wanted).total()
+        return 1e6 * covered + turns[start] - 1e4 if start < end else 0.0
+
+    # By a number of frames: the score of the best split of these first ones, and the headings' ends
+    best: dict[int, tuple[float, tuple[int, ...]]] = {0: (0.0, (0,))}
+    for _ in range(headings):
+        best = {
+            end: max((s + score(k, end), (*ends, end)) for k, (s, ends) in best.items() if k <= end)
+            for end in range(len(kinds) + 1)
+        }
+    return [Group(group.frames[a:b]) for a, b in pairwise(best[len(kinds)][1])]
 
 
 def delays_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
@@ -459,56 +493,47 @@ def clock_steps(clocks: Clocks) -> list[str]:
     ]
 
 
-def offset_contradiction(
-    groups: Sequence[Group], slots: Sequence[Slot], offset: Offset, zone: str
-) -> str:
+def offset_contradiction(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str:
     """Return why the plan contradicts an offset of the camera's clock; "" if it does not.
 
-    offset: with which the brackets `groups` are imported; slots: of the plan. Three errors are
-    detected: an offset that is wrong by full hours, up to 26 (time zone or date), a clock that was
-    set between brackets, and one that was set for so few days that their brackets are too few for
-    `clock_parts`. groups: in order of time; zone: IANA name.
+    offset: with which the brackets `groups` are imported; slots: of the plan. Two errors are
+    detected: an offset that is wrong by full hours, up to 26 (time zone or date), and a clock that
+    was set to other hours for some days. groups: in order of time.
     """
-    hour, found = _better_hour(groups, slots, offset, _EVIDENCE)
+    hour, found = _better_hour(groups, slots, offset)
     if hour:
         remedy = "check the camera's clock and date, and state the right --utc-offset"
         if abs(hour) == 24:
             remedy = "WARNING: the dates are a day wrong: correct them and import again: "
             remedy += f'exiftool -AllDates{"+-"[hour > 0]}="0:0:1 0:0:0" FOLDER'
         return f"{found}: {remedy}"
-    if len(parts := clock_parts(groups, slots, zone)) > 1:
-        return (
-            f"one clock offset ({offset.how}) was used for all brackets, but the plan suggests "
-            f"that the camera's clock was changed before {parts[1][0].frames[0].path}: import the "
-            "two parts from separate folders, each with its own --utc-offset"
-        )
-    # Brackets of a day that is not in the plan are near no slot, and are not imported.
-    days = (d for d in split_at_gaps(groups, _NIGHT_S) if _near_slots(d, slots, offset.seconds))
-    ends = ((d, d[0].frames[0].path, d[-1].frames[-1].path.name) for d in days)
-    better = [_better_hour(d, slots, offset, 1, f" from {a} to {b}") for d, a, b in ends]
-    doubts = [found for hour, found in better if 0 < abs(hour) <= 12]
-    remedy = "if the clock was set, import the frames of that day alone, with that option"
-    return f"{'; '.join(doubts)}: {remedy}" if doubts else ""
+    days = [(day, day[0].frames[0].path) for day in split_at_gaps(groups, _NIGHT_S)]
+    better = [_better_hour(day, slots, offset, f" from {first} on") for day, first in days]
+    doubts = listed([found for hour, found in better if hour], 2)
+    remedy = "if the clock was set, import the frames of such days alone, with that option"
+    return f"{doubts}: {remedy}" if doubts else ""
 
 
 def _better_hour(
-    groups: Sequence[Group], slots: Sequence[Slot], offset: Offset, evidence: int, which: str = ""
+    groups: Sequence[Group], slots: Sequence[Slot], offset: Offset, of_day: str = ""
 ) -> tuple[int, str]:
     """Return the change of the clock's offset [h] that brings most brackets near slots, and a text.
 
-    The change is 0 unless it brings `evidence` more brackets near slots than the offset itself. Of
-    equal ones the smallest is returned. The text compares both; which: of the brackets, for it.
+    Of equal ones the smallest is returned; 0 if it brings fewer than `_EVIDENCE` more brackets near
+    slots than the offset itself. On a day one is enough, if the change is at most 12 h and other
+    brackets are near slots anyway: then the day is in the plan. of_day: the first file of such a
+    day, for the text; "" for other brackets.
     """
     hours = sorted(_HOURS, key=abs)
     near = [_near_slots(groups, slots, offset.seconds + 3600.0 * hour) for hour in hours]
-    hour = hours[near.index(max(near))] if max(near) >= near[0] + evidence else 0
+    hour = hours[near.index(max(near))]
+    evidence = 1 if of_day and near[0] and abs(hour) <= 12 else _EVIDENCE
     in_exif_s = offset.exif_s or (0.0,)
     clock_s = in_exif_s[0] + offset.seconds + 3600.0 * hour
     option = f"--utc-offset {offset_text(clock_s)}"
     # No clock is over 14 h from UTC; one option cannot replace several offsets in EXIF.
     if len(in_exif_s) > 1 or abs(clock_s) > 14 * 3600.0 or abs(hour) == 24:
         option = f"an offset changed by {hour:+g} h"
-    return hour, (
-        f"with the offset of the camera's clock ({offset.how}), {near[0]} of {len(groups)} "
-        f"brackets{which} are near slots; with {option} it would be {max(near)}"
-    )
+    found = f"with the offset of the camera's clock ({offset.how}), {near[0]} of {len(groups)} "
+    found += f"brackets{of_day} are near slots; with {option} it would be {max(near)}"
+    return hour if max(near) >= near[0] + evidence else 0, found

@@ -123,12 +123,10 @@ def _summary(report: Report) -> list[str]:
     """
     from statistics import median
 
-    from fieldlum.capture.match_card import offset_text, offsets_text
+    from fieldlum.capture.match_card import offsets_text
 
-    lines = []
-    for offset in report.offsets:
-        clock = offsets_text(offset.exif_s) if offset.exif_s else offset_text(offset.seconds)
-        lines.append(f"camera clock: UTC {clock}, {offset.how}")
+    clocks = [(offsets_text(o.exif_s or (o.seconds,)), o.how) for o in report.offsets]
+    lines = [f"camera clock: UTC {clock}, {how}" for clock, how in clocks]
     lines = list(dict.fromkeys(lines))  # one line for campaigns with the same clock
     if report.late_s:
         lines.append(f"brackets start {median(report.late_s):+.0f} s from their slots (median)")
