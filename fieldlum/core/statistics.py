@@ -70,15 +70,11 @@ def standard_error(values: Floats, groups: Array | None = None) -> float:
     Miller, J. Human Resources 50, 2015, eq. 11 with a constant as the only regressor).
     """
     values = np.asarray(values, float)
-    if groups is None:
-        if len(values) < 2:
-            return float("nan")
-        return float(values.std(ddof=1) / np.sqrt(len(values)))
-    _, group = np.unique(groups, return_inverse=True)  # [n], 0 to count - 1
-    sums = np.bincount(group, weights=values - values.mean())  # [groups]
-    count = len(sums)
-    if count < 2:
+    of_value = np.arange(len(values)) if groups is None else groups
+    names, group = np.unique(of_value, return_inverse=True)
+    if (count := len(names)) < 2:
         return float("nan")
+    sums = np.bincount(group, weights=values - values.mean())  # [groups]
     return float(np.sqrt((sums**2).sum() * count / (count - 1)) / len(values))
 
 

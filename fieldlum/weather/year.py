@@ -60,14 +60,11 @@ class Weather:
         of every year; 29 February has the weather of the 28th.
         """
         moments = [self._dated(t) for t in times_utc] if self.typical else times_utc
-        seconds = np.array([t.timestamp() for t in moments])
-        times_s = np.array([t.timestamp() for t in self.t_utc])
-        after = np.clip(np.searchsorted(times_s, seconds), 1, len(times_s) - 1)
-        before = after - 1
-        nearest = np.where(seconds - times_s[before] < times_s[after] - seconds, before, after)
-        outside = np.abs(seconds - times_s[nearest]) > 1800.5  # half an hour, and rounding
+        reach = timedelta(seconds=1800.5)  # half an hour, and rounding
+        hours, wanted = sun.pandas_index(self.t_utc), sun.pandas_index(moments)
+        nearest = hours.get_indexer(wanted, method="nearest", tolerance=reach)  # -1: none
         values = {name: getattr(self, name)[nearest] for name in _LIGHT}
-        return sun.Irradiance(**{n: np.where(outside, np.nan, v) for n, v in values.items()})
+        return sun.Irradiance(**{n: np.where(nearest < 0, np.nan, v) for n, v in values.items()})
 
     def _dated(self, t_utc: datetime) -> datetime:
         """Return the same moment of local standard time in this weather's own year."""

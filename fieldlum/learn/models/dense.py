@@ -634,8 +634,7 @@ def restore(path: Path, trainer: Trainer, mark: str) -> tuple[Run, dict[str, Ten
     """
     faults = (Warning, RuntimeError, LookupError, TypeError, EOFError, AttributeError)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # torch warns before it rejects other files
+        with warnings.catch_warnings(action="error"):  # torch warns before it rejects other files
             state = torch.load(path, map_location=pick_device(), weights_only=True)
         if state["mark"] != mark:
             raise KeyError("a checkpoint of other pictures, other irradiance or another seed")

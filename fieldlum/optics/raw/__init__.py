@@ -65,22 +65,19 @@ def is_jpeg(path: Path) -> bool:
     return path.suffix.lower() in (".jpg", ".jpeg")
 
 
-def frame_files(*sources: Path, deep: bool = False) -> list[Path]:
+def frame_files(*sources: Path) -> list[Path]:
     """Return the files among paths, and for a folder the raw and JPEG files in it, sorted by path.
 
-    deep: also those in its subfolders, which may be of other brackets. A path that is no folder is
-    returned as it is, even if it does not exist. Names that begin with `.` or `@` are omitted: in
-    such folders systems store thumbnails and deleted files. Raises InputError for a folder without
-    frames.
+    Its subfolders may be of other brackets and are not read. A path that is no folder is returned
+    as it is, even if it does not exist. Names that begin with `.` or `@` are omitted: systems give
+    such names to thumbnails and deleted files. Raises InputError for a folder without frames.
     """
     found: list[Path] = []
     for source in sources:
         inside = [
             path
-            for path in sorted(source.glob("**/*" if deep else "*"))
-            if (path.suffix.lower() in RAW_SUFFIXES or is_jpeg(path))
-            and path.is_file()
-            and not any(name[0] in ".@" for name in path.relative_to(source).parts)
+            for path in sorted(source.glob("[!.@]*"))
+            if (path.suffix.lower() in RAW_SUFFIXES or is_jpeg(path)) and path.is_file()
         ]
         if source.is_dir() and not inside:
             expected, remedy = "a folder with raw or JPEG frames", "check the path of the folder"
@@ -342,8 +339,7 @@ def jpeg_size(path: Path) -> tuple[int, int]:
     """Return width and height [px] of a JPEG by its header, (0, 0) if it cannot be read."""
     from PIL.JpegImagePlugin import JpegImageFile
 
-    with warnings.catch_warnings(), suppress(Exception), open_to_read(path) as file:
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"), suppress(Exception), open_to_read(path) as file:
         return JpegImageFile(file).size
     return 0, 0
 
@@ -360,13 +356,11 @@ def _codes(path: Path, max_pixels: int) -> UInts8:
     with open_to_read(path) as file:
         kind = kind_of(file.read(16))
     try:
-        with warnings.catch_warnings():
-            # A warning is about data that are not used; damaged pixels are an error.
-            warnings.simplefilter("ignore")
-            with JpegImageFile(path) as image:
-                width, height = image.size
-                if width * height <= max_pixels:
-                    return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
+        # A warning is about data that are not used; damaged pixels are an error.
+        with warnings.catch_warnings(action="ignore"), JpegImageFile(path) as image:
+            width, height = image.size
+            if width * height <= max_pixels:
+                return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
     except Exception as error:
         damage = f"the JPEG is damaged or cut short ({str(error).splitlines()[0][:80]})"
         if kind and kind != "a JPEG picture":

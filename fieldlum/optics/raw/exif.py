@@ -145,8 +145,8 @@ def tags_of(path: Path) -> dict[int, Any]:
         if not (head := file.read(4)):
             again = "copy it from the card again"
             raise InputError(path, "the file is empty", "a frame of a camera", again)
-        with warnings.catch_warnings(), suppress(Exception):  # of a broken directory
-            warnings.simplefilter("ignore")  # about tags that are not used
+        # warnings: about tags that are not used; exceptions: of a broken directory
+        with warnings.catch_warnings(action="ignore"), suppress(Exception):
             exif = _directories(file, head)
             for directory in (exif, exif.get_ifd(ExifTags.IFD.Exif)):
                 for number in directory:

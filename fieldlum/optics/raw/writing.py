@@ -2,7 +2,6 @@
 
 from datetime import datetime
 from fractions import Fraction
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ _XYZ_TO_SRGB = (
 )
 
 
-@lru_cache(maxsize=64)  # the frames of a bracket have most of them in common
 def _fractions(*values: float) -> tuple[Any, ...]:
     """Return numbers as the fractions that a camera writes: 0.004 as 1/250."""
     from PIL.TiffImagePlugin import IFDRational

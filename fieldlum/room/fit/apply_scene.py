@@ -45,9 +45,7 @@ def earlier(light: Light, minutes: float, data: Dataset) -> Light:
     altitude = light.sun_altitude_deg + true.altitude_deg - stated.altitude_deg
     turn = signed_angle_deg(np.asarray(true.azimuth_deg - stated.azimuth_deg))
     azimuth = (light.sun_azimuth_deg + turn) % 360.0
-    return replace(
-        light, t_utc=times, sun_altitude_deg=altitude, sun_azimuth_deg=azimuth, perez=light.perez
-    )
+    return replace(light, t_utc=times, sun_altitude_deg=altitude, sun_azimuth_deg=azimuth)
 
 
 def with_scene(data: Dataset, scene: Scene, *, source: Path | str = SCENE_TOML) -> Dataset:

@@ -5,7 +5,7 @@ x is to the right and y away from the "south" wall, as seen from inside facing "
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import combinations, pairwise
 from typing import TypeGuard
 
@@ -119,7 +119,6 @@ class Opening:
         return (u_m > left) & (u_m < right) & (z_m > bottom) & (z_m < top)
 
 
-@lru_cache(maxsize=64)  # a search for the scene asks for the same angles in many rooms
 def room_axes(wall_azimuth_deg: float) -> Floats:
     """Return a room's axes as rows in world coordinates, [3, 3]: room = axes @ world.
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.records import JsonTable, Site, counted
+from fieldlum.core.records import Site, counted
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, rotation, signed_angle_deg
 from fieldlum.sky.sky_view import measured_discs
 
@@ -58,15 +58,6 @@ class CameraPose:
     def heading_sd_deg(self) -> float:
         """Standard uncertainty of the heading [deg]."""
         return float(np.sqrt(self.covariance[0][0]))
-
-    @classmethod
-    def from_table(cls, table: JsonTable) -> CameraPose:
-        """Return the pose in a JSON object.
-
-        Raises TypeError, KeyError or ValueError for other fields or values.
-        """
-        covariance = tuple(tuple(map(float, row)) for row in table["covariance"])
-        return cls(**{**table, "covariance": covariance, "notes": tuple(table["notes"])})
 
     def drawn(self, rng: np.random.Generator, count: int) -> Floats:
         """Return `count` random draws of `values`, by their covariance, [count, 4]."""

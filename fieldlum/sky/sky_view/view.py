@@ -23,6 +23,7 @@ from fieldlum.core.errors import InputError, reason_of
 from fieldlum.core.files import replacing_path
 from fieldlum.core.records import JsonTable
 from fieldlum.core.room_states import cover_state
+from fieldlum.core.strict_toml import convert
 from fieldlum.optics.images import exr_headers, opened_exr
 from fieldlum.session.codec import sealed, warn_if_changed
 from fieldlum.sky.daylight import Light
@@ -183,8 +184,7 @@ class SkyView:
             grid = SkyGrid(**about["grid"])
             for arrays in views:
                 _check(grid, arrays, about.get("frame", FRAME))
-            stated = about.get("pose")
-            pose = CameraPose.from_table(stated) if stated else CameraPose()
+            pose = convert(about.get("pose") or {}, CameraPose)
             more = {name: about[name] for name in ("captures", "inputs", "state") if name in about}
             others = tuple(
                 cls(grid, **arrays, **{**table, "days": tuple(table["days"])}, pose=pose)
