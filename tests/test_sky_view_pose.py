@@ -13,6 +13,7 @@ from places import SEATTLE
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama
+from fieldlum.core.strict_toml import convert
 from fieldlum.learn.models.training_data import take_disc_out as take_out_of_map
 from fieldlum.merge.sun_and_sky import take_out_disc
 from fieldlum.optics.projection import altitude_azimuth_deg, rotation
@@ -56,7 +57,7 @@ def test_six_discs_give_the_pose() -> None:
     true = CameraPose(**dict(zip(names, values, strict=True)), axis_deg=AXIS_DEG).in_pictures(suns)
     assert np.degrees(np.linalg.norm(shown - true, axis=1)).max() < 0.05
     assert pose.true_directions(shown) == pytest.approx(suns, abs=1e-9)
-    assert CameraPose.from_table(json.loads(json.dumps(asdict(pose)))) == pose
+    assert convert(json.loads(json.dumps(asdict(pose))), CameraPose) == pose
 
 
 @pytest.mark.analytic
