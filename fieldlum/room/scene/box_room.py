@@ -183,19 +183,19 @@ def is_box_with_window(room: Room | None) -> TypeGuard[Room]:
     return room is not None and room.kind == "box" and bool(room.window)
 
 
-def build(room: Room, where: str = "[room]") -> BoxScene:
+def build(room: Room) -> BoxScene:
     """Build the floor, ceiling, walls, frames, obstructions, ground and openings of a box room.
 
-    where : the source that errors name. Raises InputError for a room of another kind, or an
-    impossible one: a size of 0 or less, a window outside its wall, overlapping windows, a camera
-    outside the room or inside an obstruction, a reflectance below 0 or not below 1, a
-    transmittance not above 0 or over 0.92, or no pane.
+    Raises InputError for a room of another kind, or an impossible one: a size of 0 or less, a
+    window outside its wall, overlapping windows, a camera outside the room or inside an
+    obstruction, a reflectance below 0 or not below 1, a transmittance not above 0 or over 0.92, or
+    no pane.
     """
     for is_wrong, place, found, expected in _checks(room):
         if is_wrong:
-            raise InputError(f"{where}{place}", found, expected, "correct the [room] of the site")
-    openings = tuple(_opening(room, window, where) for window in room.window)
-    _check_overlap(openings, where)
+            raise InputError(f"[room]{place}", found, expected, "correct the [room] of the site")
+    openings = tuple(_opening(room, window) for window in room.window)
+    _check_overlap(openings)
     wall_m = room.wall_thickness_m
     low = (-wall_m, -wall_m, -SLAB_M)  # corners of the building
     high = (room.width_m + wall_m, room.depth_m + wall_m, room.height_m + ROOF_M)
@@ -251,10 +251,10 @@ def wall_named(wall: str, wall_azimuth_deg: float) -> str:
     return f'{compass_name(wall_azimuth_deg + WALL_TURN_DEG[wall])} wall ("{wall}")'
 
 
-def _opening(room: Room, window: Window, where: str) -> Opening:
+def _opening(room: Room, window: Window) -> Opening:
     """Return the hole of a window in its wall.
 
-    Raises InputError for a window that is not within its wall; where: the room, for the error.
+    Raises InputError for a window that is not within its wall.
     """
     axis, side = WALLS[window.wall]
     length = room.width_m if axis == 1 else room.depth_m
@@ -266,7 +266,7 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
         wall = wall_named(window.wall, room.wall_azimuth_deg)
         finding = f"a window {along}, {window.sill_m:g} to {top:g} m above the floor"
         expected = f"a window inside the {wall} of {length:g} x {room.height_m:g} m"
-        raise InputError(where, finding, expected, "correct the window")
+        raise InputError("[room]", finding, expected, "correct the window")
     high_end = length - window.left_m - window.width_m
     start = high_end if window.wall in FROM_HIGH_END else window.left_m
     inner, outer = _faces_m(room, window.wall)
@@ -288,8 +288,8 @@ def _faces_m(room: Room, wall: str) -> Span:
     return inner, inner + (2 * side - 1) * room.wall_thickness_m
 
 
-def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
-    """Raise InputError for two windows of one wall that overlap; where: the room, for the error."""
+def _check_overlap(openings: tuple[Opening, ...]) -> None:
+    """Raise InputError for two windows of one wall that overlap."""
 
     def overlap(first: Span, other: Span) -> bool:
         return first[0] < other[1] - _ROUNDING_M and other[0] < first[1] - _ROUNDING_M
@@ -298,7 +298,8 @@ def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
         same_wall = (first.axis, first.outward) == (other.axis, other.outward)
         if same_wall and overlap(first.u_m, other.u_m) and overlap(first.z_m, other.z_m):
             found, expected = f"windows {j} and {k} of one wall overlap", "separate windows"
-            raise InputError(where, found, expected, "correct left_m, width_m, sill_m or height_m")
+            remedy = "correct left_m, width_m, sill_m or height_m"
+            raise InputError("[room]", found, expected, remedy)
 
 
 def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterator[Box]:

@@ -53,12 +53,12 @@ class SkyGrid:
         left_deg = self.heading_deg + self.first_azimuth_deg
         return left_deg + (np.arange(self.width) + 0.5) * self.step_deg
 
-    def rays(self, rows: slice = slice(None)) -> Floats:
-        """Return the unit vector to each pixel's centre, of some rows, [rows, width, 3].
+    def rays(self) -> Floats:
+        """Return the unit vector to each pixel's centre, [height, width, 3].
 
         The vectors have x east, y north, z up.
         """
-        return direction(self.altitudes_deg[rows, None], self.azimuths_deg[None, :])
+        return direction(self.altitudes_deg[:, None], self.azimuths_deg[None, :])
 
     def pixels(self, towards: ArrayLike) -> tuple[Floats, Floats]:
         """Return the continuous (row, column) of unit vectors [..., 3], [...] each.
