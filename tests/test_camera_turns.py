@@ -124,6 +124,8 @@ def test_a_large_turn_of_half_a_day_is_right_in_a_room_by_mitsuba(turn_px: int) 
     assert turned_px == pytest.approx(turn_px, abs=0.3)
 
 
+@pytest.mark.slow
+@pytest.mark.authority
 @pytest.mark.parametrize("turn_px", [12, 58])
 def test_a_camera_turned_too_far_is_found_in_a_room_by_mitsuba(turn_px: int) -> None:
     """Turned for good after two thirds, and, once, for single captures."""

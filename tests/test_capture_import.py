@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
 
@@ -72,6 +72,8 @@ def card(
     drift=st.integers(-90, 90),
     seed=st.integers(0, 99),
 )
+@example(step=1.0, clock_h=-27, drift=60, seed=0)
+@example(step=1.0, clock_h=-29, drift=0, seed=0)
 @settings(deadline=None, max_examples=40)
 def test_any_camera_clock_is_found_from_a_whole_day(
     step: float, clock_h: int, drift: int, seed: int
@@ -82,7 +84,8 @@ def test_any_camera_clock_is_found_from_a_whole_day(
     groups = group_frames(frames, LADDER)
     assert [len(g.frames) for g in groups] == [5] * 12
     offset = find_offset(groups, PLAN, (PDT_S, 0.0))
-    assert offset is not None and offset.seconds == clock_s
+    # within 20 minutes of civil time the offset is refined from there
+    assert offset is not None and offset.seconds in (clock_s, PDT_S)
     refined = refine_offset(groups, PLAN, offset)
     assert refined.seconds == pytest.approx(clock_s + drift, abs=1.5)
     matches, unmatched = match_groups([(groups, refined)], PLAN)
