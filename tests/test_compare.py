@@ -1,7 +1,6 @@
 """`compare`: a simulation beside what was measured; a wrong wall is named, hours are matched."""
 
 import json
-import subprocess
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -26,7 +25,6 @@ from fieldlum.core.records import (
     slot_id,
 )
 from fieldlum.optics.images import (
-    radiance_program,
     read_panorama,
     write_panorama,
     write_radiance_hdr,
@@ -120,45 +118,6 @@ def test_a_wrong_wall_is_named(measured: tuple[Session, Path, Path], tmp_path: P
     assert "Largest differences: 2027" in ran.output
     assert (tmp_path / "compare.png").stat().st_size > 10_000
     assert (tmp_path / "compare.csv").read_text().startswith("slot,surface,measured_cdm2")
-
-
-@pytest.mark.slow
-@pytest.mark.authority
-@pytest.mark.parametrize(("option", "figures"), [("-d", 2), ("-D", 2), ("", 1)])
-def test_lines_of_evalglare_are_compared_with_the_captures(
-    measured: tuple[Session, Path, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    option: str,
-    figures: int,
-) -> None:
-    session, _, wrong = measured
-    slot = slot_id(TIMES[3])
-    run = [radiance_program("evalglare"), *filter(None, [option]), str(wrong / f"{slot}.hdr")]
-    table = tmp_path / "evalglare.txt"
-    line = subprocess.run(run, capture_output=True, text=True, check=True).stdout
-    table.write_text(f"20200101T000000Z.hdr\n{line}{slot}-170.hdr\n{line}")
-    result = compare(session, table, tmp_path)
-    assert [row["figure"] for row in result.directions] == ["dgp", "ev_lx"][:figures]
-    (own,) = picture_glare(session.panoramas / f"{slot}.exr", [170.0])["views"]
-    dgp = result.directions[0]
-    assert dgp["azimuth_deg"] == 170.0 and dgp["hours"] == 1
-    assert dgp["measured"] == pytest.approx(own["dgp"]) and 0.2 < dgp["model"] <= own["dgp"]
-    assert "March" in result.text[0]
-    table.write_text(f"{slot}.hdr\n{line}")
-    with pytest.raises(InputError, match="one --view-azimuth"):
-        compare(session, table, tmp_path)
-    table.write_text(f"{slot}.hdr\n{line.rstrip()} 1.0\n")
-    with pytest.raises(InputError, match="a number for each name"):
-        compare(session, table, tmp_path, [170.0])
-    table.write_text(line)
-    with pytest.raises(InputError, match="no result below the name of a capture"):
-        compare(session, table, tmp_path, [170.0])
-    unseen = {"views": [{"dgp": None, "ev_lx": None}]}
-    monkeypatch.setattr("fieldlum.report.compare.picture_glare", lambda *_: unseen)
-    table.write_text(f"{slot}.hdr\n{line}")
-    with pytest.raises(InputError, match="that saw the view"):
-        compare(session, table, tmp_path, [170.0])
 
 
 @pytest.mark.slow
@@ -340,7 +299,7 @@ def test_a_folder_of_honeybee_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
-def test_files_of_daysim_and_of_honeybee_are_read_as_they_are_written(tmp_path: Path) -> None:
+def test_grids_of_honeybee_are_read_as_they_are_written(tmp_path: Path) -> None:
     results = tmp_path / "results"
     (results / "dgp").mkdir(parents=True)
     (results / "sun-up-hours.txt").write_text("8.5\n9.5\n")
@@ -350,15 +309,6 @@ def test_files_of_daysim_and_of_honeybee_are_read_as_they_are_written(tmp_path: 
     (tmp_path / "sun-up-hours.txt").write_text("8.5\n9.5\n")
     np.save(tmp_path / "desk.npy", np.array([[900.0, 1000.0]], np.float32))
     assert read_model_hours(tmp_path, [90.0])["ev_lx", 90.0].tolist() == [900.0, 1000.0]
-    daysim = tmp_path / "desk.dgp"  # "%d %d %.3f " and " %.4f" for each view, no header
-    daysim.write_text("1 1 8.500  0.2000 0.2500\n12 31 23.500  0.3000 0.3500\n")
-    hours = read_model_hours(daysim, [90.0, 180.0])
-    assert hours.index.tolist() == [8.5, 8759.5] and hours["dgp", 180.0].tolist() == [0.25, 0.35]
-    with pytest.raises(InputError, match="values of 2 x 2 views"):
-        read_model_hours(daysim, [90.0])
-    daysim.write_text("2 29 8.500  0.2\n")
-    with pytest.raises(InputError, match="line 1: month 2, day 29"):
-        read_model_hours(daysim, [90.0])
 
 
 @pytest.mark.contract

@@ -18,11 +18,10 @@ def command(
 ) -> None:
     """Compare a simulation with the measurement: where it errs, and when.
 
-    RESULT is a folder of pictures named by slots (20270320T193000Z.hdr), or evalglare's lines below
-    such names, compared with the captures; or a year of DGP or vertical illuminance, compared with
-    the newest predicted year: a csv or tab-separated table with month, day, hour (or hoy, or 8760
-    rows) and dgp or ev, DAYSIM's .dgp or .ill, or a folder of honeybee-radiance with one GRID.dgp,
-    .ill or .npy.
+    RESULT is a folder of pictures named by slots (20270320T193000Z.hdr), compared with the
+    captures; or a year of DGP or vertical illuminance, compared with the newest predicted year: a
+    csv or tab-separated table with month, day, hour (or hoy, or 8760 rows) and dgp or ev, or a
+    folder of honeybee-radiance with one GRID.dgp, .ill or .npy.
 
     \b
     Example:

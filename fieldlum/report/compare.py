@@ -2,13 +2,11 @@
 
 A model is a folder of pictures named by the slots of the session, an hourly table of DGP or
 vertical illuminance (a csv or tab-separated text with hours of the year, as raytraverse's tables),
-a file of DAYSIM, a results folder of honeybee-radiance (`_read_matrix`), or lines of evalglare
-below the names of pictures. Pictures and evalglare's lines are compared with the captures of the
-same slots, hours with the session's predicted year, which should have the model's weather file.
+or a results folder of honeybee-radiance (`_read_grid`). Pictures are compared with the captures of
+the same slots, hours with the session's predicted year, which should have the model's weather file.
 """
 
 import calendar
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import pairwise
@@ -25,7 +23,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.files import open_to_read, read_bytes
 from fieldlum.core.plot_style import new_figure, styled
 from fieldlum.core.progress import progress
-from fieldlum.core.records import JsonTable, Room, counted, parse_utc
+from fieldlum.core.records import JsonTable, Room, counted
 from fieldlum.optics import projection
 from fieldlum.report.page import comparison_png, png
 from fieldlum.room.scene.box_room import WALLS, wall_named
@@ -34,7 +32,7 @@ from fieldlum.session import Session, write_file
 from fieldlum.session.codec import write_csv
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import hour_of_year
-from fieldlum.year.glare.picture_glare import picture_glare, valid_pixels
+from fieldlum.year.glare.picture_glare import valid_pixels
 from fieldlum.year.glare.pictures import picture_directions, read_picture
 from fieldlum.year.glare.standards import DISTURBING_DGP
 from fieldlum.year.predict import Annual
@@ -50,14 +48,9 @@ _MAX_MATERIAL_FACTOR = 6.0
 _NOT_JUDGED = ("all", "window", "reveal", "frame")
 _DAYS_OF_MONTH = np.array([31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31])
 _HOUR_NAMES = ("ann_hour", "hoy", "hour of year", "hour_of_year")
-# Columns of other programs, in lower case, for the figures of hourly.csv; e_v is of evalglare -d,
-# ev_calc of evalglare -D.
-_EV = ("ev_lx", "ev", "e_v", "ev_calc", "illum", "vertical illuminance")
+# Columns of other programs, in lower case, for the figures of hourly.csv; e_v is of evalglare.
+_EV = ("ev_lx", "ev", "e_v", "illum", "vertical illuminance")
 _FIGURES = {"dgp": "dgp", "daylight glare probability": "dgp", **dict.fromkeys(_EV, "ev_lx")}
-# The name of a picture by its slot, maybe with a view; and the result of evalglare for the last.
-_EVALGLARE = re.compile(
-    r"(?P<slot>\d{8}T\d{6}Z)(?:[-@](?P<view>\d+(?:\.\d+)?))?|(?P<names>dgp,[\w,]+):(?P<values>.*)"
-)
 
 
 class Comparison(NamedTuple):
@@ -146,17 +139,14 @@ def compare(
 ) -> Comparison:
     """Compare a model's result with a session, and write compare.csv and compare.png to `out`.
 
-    model: a folder of pictures that are named by the session's slots, a file or folder for
-    `read_model_hours`, or a text with lines of evalglare, each below the name of its picture.
-    azimuths_deg: view directions of an hourly result that does not name them, in its order,
+    model: a folder of pictures that are named by the session's slots, or a file or folder for
+    `read_model_hours`. azimuths_deg: view directions of an hourly result that does not name them, in its order,
     clockwise from true north. annual: the session's predicted year, None without one; only tables
     of hours need it. Raises InputError for a result that cannot be read, or that shares no picture
     and no hour with the session, NotEnoughDataError without a year for a table of hours.
     """
     if model.is_dir() and _sun_up_hours_file(model) is None:
         return _compare_pictures(session, model, out)
-    if model.is_file() and (shared := _hours_of_evalglare(session, model, azimuths_deg)):
-        return _comparison_of_hours(shared, [], out)
     hours = read_model_hours(model, azimuths_deg)
     if annual is None:
         remedy = "run fieldlum predict with the weather file of the model"
@@ -387,12 +377,11 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
 
     path: a csv or tab-separated table with a column dgp or ev for each view, such as ``dgp@180`` or
     ``ev [lx]@180``, and the time as columns month, day and hour, as a column hoy, or as 8760 rows
-    from 1 January; a .dgp or .ill of DAYSIM; or a results folder of honeybee-radiance. A table of
-    one view may omit ``@180``. azimuths_deg: of the views that the file does not name so, in its
+    from 1 January; or a results folder of honeybee-radiance. A table of one view may omit ``@180``. azimuths_deg: of the views that the file does not name so, in its
     order, clockwise from true north. Raises InputError for other content.
     """
-    if path.is_dir() or path.suffix.lower() in (".dgp", ".ill"):
-        return _read_matrix(path, azimuths_deg)
+    if path.is_dir():
+        return _read_grid(path, azimuths_deg)
     expected, remedy = "an hourly table", "export one row an hour"
     table = strict_csv.read_table(path, expected, remedy, separators="\t,")
     names = [name.lower() for name in table.names]
@@ -529,32 +518,25 @@ def _sun_up_hours_file(folder: Path) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def _read_matrix(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
-    """Read DGP or Ev of views from a file of DAYSIM (DIVA), or a folder of honeybee-radiance.
+def _read_grid(folder: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
+    """Read DGP or Ev of views from a results folder of honeybee-radiance.
 
     Return a table as `read_model_hours` does. azimuths_deg: of the views, in the file's order.
-    DAYSIM's .dgp or .ill has lines of month, day, hour, and a value for each view. Honeybee's
     GRID.dgp, GRID.ill or GRID.npy has a row for each sensor and a column for each sun-up hour.
     Raises InputError for other content, and if the number of views differs.
     """
-    hours_file, files = _sun_up_hours_file(path) if path.is_dir() else None, [path]
-    if hours_file is not None:
-        names = ("*.dgp", "*.ill", "*.npy", "dgp/*.dgp")
-        files = sorted(file for name in names for file in path.glob(name))
-    if len(files) != 1 or not azimuths_deg:
+    hours_file, names = _sun_up_hours_file(folder), ("*.dgp", "*.ill", "*.npy", "dgp/*.dgp")
+    files = [file for name in names for file in folder.glob(name)]
+    if hours_file is None or len(files) != 1 or not azimuths_deg:
         found = f"{len(files)} grids and {len(azimuths_deg)} --view-azimuth"
         expected = "one grid (.dgp, .ill, .npy), and --view-azimuth for each view, in their order"
-        raise InputError(path, found, expected, "name a folder with one grid")
+        raise InputError(folder, found, expected, "name a folder with one grid")
     (file,) = files
-    with input_errors(path, "a matrix of numbers", "run the simulation again", OSError, ValueError):
+    remedy = "run the simulation again"
+    with input_errors(folder, "a matrix of numbers", remedy, OSError, ValueError):
         with open_to_read(file) as opened:
             values = np.load(opened) if file.suffix == ".npy" else np.loadtxt(opened, ndmin=2)
-        if hours_file is None:
-            values = values.T  # month, day, hour, and one row for each view, over the lines
-            hours = _hours_of_dates(path, values[:3], range(1, values.shape[1] + 1))
-            values = values[3:]
-        else:
-            hours = np.loadtxt(read_bytes(hours_file).decode().splitlines(), ndmin=1)
+        hours = np.loadtxt(read_bytes(hours_file).decode().splitlines(), ndmin=1)
     if values.shape != (len(azimuths_deg), len(hours)):
         found = f"values of {' x '.join(map(str, values.shape))} views and hours"
         expected = f"{len(azimuths_deg)} x {len(hours)}, by --view-azimuth and the hours"
@@ -636,7 +618,9 @@ def _compare_hours(
         raise InputError(path, "no value in daylight hours", "numbers in dgp or ev", "export them")
     if weather := annual.summary.inputs.get("weather"):
         notes.append(f"The year has the weather of {weather}: the model needs the same.")
-    return _comparison_of_hours(shared, notes, out)
+    files = _write(out, [row for part in shared for row in part.rows()], _hours_png(shared))
+    text = [*(part.text() for part in shared), *notes]
+    return Comparison([], [part.direction() for part in shared], text, files)
 
 
 def _check_night(path: Path, model: pd.DataFrame, hours: Array, daylight: Mask, zone: str) -> None:
@@ -670,58 +654,6 @@ def _other_clock(measured: Floats, hours: Array, modelled: Floats) -> Iterator[s
         if sums.min() < 0.5 * sums[0]:
             by = f"{moved_h[sums.argmin()]:+d} h (summer time?)"
             yield f"From {season} the table agrees twice as well if moved by {by}"
-
-
-def _hours_of_evalglare(
-    session: Session, path: Path, azimuths_deg: Sequence[float]
-) -> list[SharedHours]:
-    """Return DGP and Ev of captures next to those that evalglare computed for a model.
-
-    path: evalglare's output for several pictures; azimuths_deg: the view direction of pictures
-    whose name has none. The result is empty for a file without results of evalglare. Raises
-    InputError if no result is of a capture.
-    """
-    results = list(_EVALGLARE.finditer(strict_csv.read_text(path, "a model's table")))
-    files = {file.stem: file for file in session.panorama_files()}
-    # (hour of the year, measured, model) by azimuth and figure
-    rows: dict[tuple[float, str], list[tuple[float, ...]]] = {}
-    slot, view, zone = "", "", session.site_file().site.timezone
-    for result in results:  # a picture's name, or a line of figures for the last name
-        slot, view = result["slot"] or slot, (result["view"] or "") if result["slot"] else view
-        if not result["names"] or slot not in files:
-            continue
-        azimuth_deg = _azimuth_of(view, azimuths_deg, path)
-        (measured,) = picture_glare(files[slot], [azimuth_deg])["views"]
-        with input_errors(path, "a number for each name", "run evalglare again", ValueError):
-            numbers = map(float, result["values"].split())
-            values = dict(zip(result["names"].lower().split(","), numbers, strict=True))
-        for name in filter(_FIGURES.get, values):
-            figure = measured[_FIGURES[name]]  # None where no lens saw the view
-            if figure is not None and np.isfinite(values[name]):
-                row = (hour_of_year(parse_utc(slot), zone), figure, values[name])
-                rows.setdefault((azimuth_deg, _FIGURES[name]), []).append(row)
-    if not rows and any(result["names"] for result in results):
-        found = f"no result below the name of a capture of {session.root} that saw the view"
-        remedy = "for f in *.hdr; do echo $f; evalglare -d $f; done"
-        raise InputError(path, found, "20270320T193000Z-180.hdr, then its result", remedy)
-    shared = []
-    for (azimuth_deg, figure), values in rows.items():
-        hours, measured, modelled = np.array(values, float).T
-        modelled = _valid_figures(path, figure, modelled)
-        shared.append(SharedHours(azimuth_deg, figure, hours.astype(int), measured, modelled))
-    return shared
-
-
-def _comparison_of_hours(
-    shared: Sequence[SharedHours], notes: Sequence[str], out: Path
-) -> Comparison:
-    """Write compare.csv and compare.png of hourly figures to `out`, and return the comparison.
-
-    notes: sentences that follow those on each view.
-    """
-    files = _write(out, [row for part in shared for row in part.rows()], _hours_png(shared))
-    text = [*(part.text() for part in shared), *notes]
-    return Comparison([], [part.direction() for part in shared], text, files)
 
 
 def _hours_png(shared: Sequence[SharedHours]) -> bytes:
