@@ -371,7 +371,7 @@ def test_logger_rows_are_added_once(session: Session) -> None:
     rows = [IrradianceSample(DAWN + timedelta(minutes=i), ghi_wm2=300.0 + i) for i in range(1000)]
     assert add_samples(session, rows)[0] == 1000
     earlier = IrradianceSample(DAWN - timedelta(minutes=1), ghi_wm2=1.0)
-    assert add_samples(session, [*rows, earlier]) == (1, {})
+    assert add_samples(session, [*rows, earlier]) == (1, 0)
     assert sum(len(read_day(p)[0]) for p in day_files(session)) == 1001
     later = IrradianceSample(DAWN + timedelta(days=1), ghi_wm2=5.0)
     assert add_samples(session, [later, later, replace(later, ghi_wm2=6.0)])[0] == 2
@@ -445,6 +445,17 @@ def test_late_people_are_no_error_of_the_clock() -> None:
     found = find_offset(groups, PLAN, [PDT_S, 0.0])
     assert found is not None and found.seconds == PDT_S and "UTC -06:45" in found.how
     assert refine_offset(groups, PLAN, found).seconds == PDT_S
+    fast = [
+        Group(
+            tuple(frames_at(slot.t_utc + timedelta(seconds=PDT_S + 780 + shifts.uniform(0, 120))))
+        )
+        for slot in PLAN
+    ]
+    found = find_offset(fast, PLAN, [PDT_S, 0.0])
+    assert found is not None and found.seconds == PDT_S + 900, "prompt people, a fast clock"
+    slow = [Group(tuple(frames_at(slot.t_utc + timedelta(seconds=PDT_S - 900)))) for slot in PLAN]
+    found = find_offset(slow, PLAN, [PDT_S, 0.0])
+    assert found is not None and found.seconds == PDT_S - 900, "nobody starts early"
     timer = [Group(tuple(frames_at(slot.t_utc + timedelta(seconds=PDT_S + 900)))) for slot in PLAN]
     found = find_offset(timer, PLAN, [PDT_S, 0.0])
     assert found is not None and refine_offset(timer, PLAN, found).seconds == PDT_S + 900
@@ -460,7 +471,7 @@ def test_an_offset_in_exif_that_is_no_civil_time_is_noted(offset_s: float, is_no
     setup = SiteFile(SEATTLE)
     frames = [replace(frame, exif_offset_s=offset_s) for frame in frames_at(PLAN[0].t_utc)]
     found = clock_offset([Group(tuple(frames))], PLAN, setup, None)
-    told = "stated in EXIF, but civil time of the place is UTC -07:00: if the clock showed that"
+    told = "stated in EXIF (civil time of the place is UTC -07:00: if the clock showed that, "
     assert found.exif_s == (offset_s,) and found.seconds == 0.0
     assert found.how.startswith(told) if is_noted else found.how == "stated in EXIF"
 
@@ -481,10 +492,10 @@ def test_a_card_of_the_day_before_is_named(tmp_path: Path) -> None:
 def test_another_quantity_joins_the_rows_of_its_times(session: Session, tmp_path: Path) -> None:
     """Global and diffuse in two files of one logger: both count, whatever is corrected later."""
 
-    def added(name: str, column: str, values: list[float], *options: str) -> str:
+    def added(name: str, column: str, values: list[float]) -> str:
         rows = "".join(f"2027-03-20T20:{m:02d}:00Z,{v}\n" for m, v in enumerate(values))
         (tmp_path / name).write_text(f"t_utc,{column}\n{rows}")
-        words = ["import", str(session.root), "--irradiance", str(tmp_path / name), *options]
+        words = ["import", str(session.root), "--irradiance", str(tmp_path / name)]
         done = CliRunner().invoke(main, words)
         assert done.exit_code == 0, done.output
         return done.output
@@ -500,19 +511,13 @@ def test_another_quantity_joins_the_rows_of_its_times(session: Session, tmp_path
     assert joined() == (ghi, dhi, 0)
     right = [130.0, 650.0, 520.0]
     refused = added("fix.csv", "ghi_wm2", right)
-    assert "0 rows of irradiance" in refused and "--replace" in refused
+    assert "0 rows of irradiance" in refused and "move irradiance/DATE.csv" in refused
     assert "2 rows have times that are stored with other values" in refused
     assert joined() == (ghi, dhi, 0)
-    assert "2 rows of irradiance" in added("fix.csv", "ghi_wm2", right, "--replace")
-    assert joined() == (right, dhi, 0)
-    assert "other values" not in added("fix.csv", "ghi_wm2", right)
-    rows = [IrradianceSample(DAWN, ghi_wm2=300.0, dhi_wm2=60.0, raw="300,60")]
-    add_samples(session, rows)
-    (tmp_path / "dawn.csv").write_text(f"t_utc,ghi_wm2\n{DAWN:%Y-%m-%dT%H:%M:%SZ},390\n")
-    assert import_rows(session, tmp_path / "dawn.csv", None, replace_others=True).withdrawn == 1
-    assert joined() == ([390.0, *right], [60.0, *dhi], 0)  # its diffuse remains
-    kept = (session.irradiance / "withdrawn").iterdir()
-    assert 520.0 in {row.ghi_wm2 for path in kept for row in read_day(path)[0]}
+    both = [IrradianceSample(DAWN, ghi_wm2=300.0, raw="300")]
+    assert add_samples(session, both) == (1, 0)
+    mixed = [IrradianceSample(DAWN, ghi_wm2=390.0, dhi_wm2=60.0, raw="390,60")]
+    assert add_samples(session, mixed) == (0, 1), "no global of one file with diffuse of another"
 
 
 @pytest.mark.contract

@@ -309,7 +309,7 @@ def test_pairs_of_earlier_irradiance_or_marks_are_to_do_again(tmp_path: Path) ->
         of_pair = stage_status(session)["pair"]
         return of_pair["done"], of_pair["usable"], of_pair["owed"]
 
-    later = IrradianceSample(NOON + timedelta(minutes=30), ghi_wm2=281.0, dhi_wm2=60.0)
+    later = IrradianceSample(NOON + timedelta(minutes=4), ghi_wm2=281.0, dhi_wm2=60.0)
     add_samples(session, [later, replace(later, t_utc=NOON + timedelta(days=1))])
     assert state() == (2, 2, 0) and not PairsFile.read(session.pairs).pair_again
     mark_slot(session, slots[1], "lamp=on")

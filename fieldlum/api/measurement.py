@@ -1,6 +1,8 @@
 """Sessions, plans, merged brackets, pictures and their glare in the Python API."""
 
 # Signatures in help() show the names of types.
+from __future__ import annotations
+
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,7 +13,7 @@ import numpy as np
 
 from fieldlum import merge, plan, session, weather
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.records import JsonTable, Panorama, Site, SiteFile
+from fieldlum.core.records import JsonTable, Panorama, Site, SiteFile, SunSource
 from fieldlum.merge import MergeResult
 from fieldlum.optics import images, profiles
 from fieldlum.optics.profiles import CameraProfile
@@ -176,29 +178,34 @@ def _checked(panorama: object) -> Panorama:
     if not isinstance(panorama, Panorama):
         found = f"a value of type {type(panorama).__name__}"
         raise InputError(what, found, "a Panorama", "pass fieldlum.Panorama(map, heading_deg)")
-    sun, flags, t_utc = panorama.sun, panorama.flags, panorama.t_utc
+    sun, flags, t_utc, rgb = panorama.sun, panorama.flags, panorama.t_utc, panorama.rgb
     expected, remedy = "what help(fieldlum.Panorama) describes", "correct the value"
     with input_errors(what, expected, remedy, TypeError, ValueError):
         light = np.ma.filled(np.ma.asarray(panorama.luminance_cdm2, dtype=float), np.nan)
         if light.ndim != 2 or not light.size:
             raise ValueError(f"luminance_cdm2 of shape {light.shape}")
+        if np.isinf(light).any():
+            raise ValueError("an infinite luminance")
         for name in ("u_cdm2", "flags", "rgb"):
-            values = getattr(panorama, name)
-            if values is not None and np.shape(values)[:2] != light.shape:
+            values, shape = getattr(panorama, name), light.shape + (3,) * (name == "rgb")
+            if values is not None and np.shape(values) != shape:
                 raise ValueError(f"{name} of shape {np.shape(values)}")
-        if flags is not None and np.asarray(flags).dtype.kind not in "iu":
+        if flags is not None and (flags := np.asarray(flags)).dtype.kind not in "iu":
             raise ValueError("flags that are no integers")
         if not np.isfinite(heading_deg := float(panorama.heading_deg)):
             raise ValueError("a heading_deg that is not finite")
-        if t_utc is not None and t_utc.utcoffset() is None:
-            raise ValueError("a t_utc without a time zone")
+        if t_utc is not None and (not isinstance(t_utc, datetime) or t_utc.utcoffset() is None):
+            raise ValueError("a t_utc that is no datetime with a time zone")
         if sun is not None and not (
-            abs(sun.altitude_deg) <= 90.0
+            isinstance(sun, SunSource)
+            and abs(sun.altitude_deg) <= 90.0
             and np.isfinite(sun.azimuth_deg)
             and 0.0 <= sun.normal_illuminance_lx < np.inf
         ):
             raise ValueError(f"an impossible sun, {sun}")
-    panorama = replace(panorama, luminance_cdm2=light, heading_deg=heading_deg)
+        rgb = None if rgb is None else np.asarray(rgb, float)
+    values = {"luminance_cdm2": light, "heading_deg": heading_deg, "flags": flags, "rgb": rgb}
+    panorama = replace(panorama, **values)
     images.require_panorama(panorama, what)
     return panorama
 

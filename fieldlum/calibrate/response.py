@@ -419,12 +419,13 @@ def fit(places: Places) -> ResponseFit:
     )
     kind: Any = model if isinstance(model, str) else "table"
     ripple = max(_ripple(table, places, low) for table in tables) if kind == "table" else 0.0
-    told = {  # a still scene in steady light leaves 1 to 5 %
-        "check that camera and light did not change; take the bracket again": choice.rms > 0.1,
-        f"the curve has a ripple of {100 * ripple:.0f} % with the period of the bracket's steps: "
-        "take frames between them too (1/3 stop), in the same folder": ripple > _MAX_RIPPLE,
-    }
-    choice = replace(choice, line=". CAUTION: ".join([choice.line, *filter(told.get, told)]))
+    line = choice.line
+    if choice.rms > 0.1:  # a still scene in steady light leaves 1 to 5 %
+        line += ". CAUTION: check that camera and light did not change; take the bracket again"
+    if ripple > _MAX_RIPPLE:
+        line += f". CAUTION: the curve has a ripple of {100 * ripple:.0f} % with the period of the "
+        line += "bracket's steps: take frames between them too (1/3 stop), in the same folder"
+    choice = replace(choice, line=line)
     u_rel = round(float(max(np.hypot(choice.rms, ripple), 0.001)), 5)
     response = Response(kind, low_code=low, high_code=HIGH, u_rel=u_rel)
     if kind == "table":

@@ -7,7 +7,6 @@ quantities at the same times are added to them.
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import replace
 from datetime import datetime, timedelta
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -38,14 +37,12 @@ def import_rows(
     utc_offset_s: float | None,
     columns: Mapping[str, str] | None = None,
     sensitivities: Mapping[str, float] | None = None,
-    replace_others: bool = False,
 ) -> Report:
     """Add the rows of a logger's file to the day files; return how many were added and removed.
 
-    `add_samples` states which rows are added. Rows that an earlier import of this file read
-    with another clock or other columns are removed; `replace_others` also removes stored values
-    that the file contradicts. utc_offset_s: the logger's clock minus UTC [s], if the file does not
-    state it. columns: name of the column for each
+    `add_samples` states which rows are added. Rows that an earlier import of this file read with
+    another clock or other columns are removed. utc_offset_s: the logger's clock minus UTC [s], if
+    the file does not state it. columns: name of the column for each
     quantity, if it is unusual. sensitivities: of pyranometers whose column is a voltage, uV per
     W/m2. session.toml records how the file was read. Raises InputError for a file that cannot be
     read or follows summer time, or if another process logs into the session.
@@ -67,18 +64,15 @@ def import_rows(
             if other != table and other["file"] == table["file"]:
                 with suppress(InputError):  # the file cannot be read in the earlier way any more
                     withdrawn += remove_rows(session, _read_as(path, other).samples)
-        added, others = add_samples(session, logger_file.samples)
-        if replace_others:
-            withdrawn += remove_rows(session, others)
-            added += add_samples(session, logger_file.samples)[0]
-            add_samples(session, others.values())  # what this file does not have
+        added, contradicted = add_samples(session, logger_file.samples)
     if table not in before:
         update_session(session, {"logger_files": [*before, table]})
     left_out = tuple(f"{path}: {text}" for text in logger_file.left_out)
     notes = tuple(f"{path}: {text}" for text in logger_file.notes)
-    if others and not replace_others:
-        found = f"{counted(len(others), 'row')} have times that are stored with other values"
-        notes += (f"{path}: {found}, which remain; if this file is right, add --replace",)
+    if contradicted:
+        found = f"{counted(contradicted, 'row')} have times that are stored with other values"
+        remedy = "if this file is right, move irradiance/DATE.csv of its days away and import again"
+        notes += (f"{path}: {found}, which remain; {remedy}",)
     return Report(rows=added, withdrawn=withdrawn, left_out=left_out, notes=notes)
 
 
@@ -134,37 +128,32 @@ def _read_as(path: Path, table: LoggerFileTable) -> LoggerFile:
     return read_logger_file(path, offset, table.get("columns"), table.get("sensitivities"))
 
 
-_Rows = dict[IrradianceSample, IrradianceSample]
+def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> tuple[int, int]:
+    """Append the readings that add to the day files; return their number, and of contradictions.
 
-
-def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> tuple[int, _Rows]:
-    """Append the readings that add to the day files; return their number, and contradicted rows.
-
-    A reading adds to them if its time is not stored, or if no row of its time has a quantity that
-    it has; `series_of` joins rows of one time. Of equal readings in sequence, one is appended;
-    different readings of the same time in `samples` all are. Contradicted are stored rows whose
-    irradiance differs from that of `samples` at the same time; each has its copy without it.
-    Raises OSError if a day file cannot be read or written, InputError as `DayFiles` does.
+    A reading adds to them if its time is not stored, or if it has a quantity that no row of its
+    time has, and no other value; `series_of` joins rows of one time. It is a contradiction if it
+    has another value of a stored quantity. Of equal readings in sequence, one is appended;
+    different readings of the same time in `samples` all are. Raises OSError if a day file cannot be
+    read or written, InputError as `DayFiles` does.
     """
-    paths, count, others = {path.stem: path for path in day_files(session)}, 0, _Rows()
+    paths, count, contradicted = {path.stem: path for path in day_files(session)}, 0, 0
     # Equal readings in sequence come from a table that contains a copy of itself.
     ordered = [sample for sample, _ in groupby(sorted(samples, key=lambda s: s.t_utc))]
     with closing(DayFiles(session, flush=False)) as log:
         for day, of_day in groupby(ordered, key=lambda s: s.t_utc.strftime("%Y-%m-%d")):
-            stored: dict[datetime, list[IrradianceSample]] = {}
+            stored: dict[datetime, set[tuple[str, float]]] = {}
             for row in read_day(paths[day])[0] if day in paths else ():
-                stored.setdefault(row.t_utc, []).append(row)
+                stored.setdefault(row.t_utc, set()).update(_numbers(row))
             for sample in of_day:
-                rows = stored.get(sample.t_utc, [])
-                known = {number for row in rows for number in _numbers(row)}
-                new = {name for name, _ in _numbers(sample) - known}
-                wrong = new & {name for name, _ in known}
-                rest = {row: replace(row, **dict.fromkeys(wrong)) for row in rows}
-                others |= {row: other for row, other in rest.items() if other != row}
-                if not rows or new > wrong:
+                known = stored.get(sample.t_utc)
+                new = {name for name, _ in _numbers(sample) - (known or set())}
+                if new & {name for name, _ in known or ()}:
+                    contradicted += 1
+                elif new or known is None:
                     log.append(sample)
                     count += 1
-    return count, others
+    return count, contradicted
 
 
 def _numbers(sample: IrradianceSample) -> set[tuple[str, float]]:

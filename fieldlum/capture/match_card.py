@@ -233,13 +233,16 @@ def find_offset(
 
     groups: the card's brackets; slots: of the plan; expected_s: likely offsets [s], most likely
     first: the first that fits is used if several offsets fit equally well, or if as many brackets
-    are within 20 minutes of slots with it, because people start late. Return None if no offset
-    fits, or if several fit and none of them is expected.
+    are within 20 minutes of slots with it, mostly later and with different delays: people start
+    late. Return None if no offset fits, or if several fit and none of them is expected.
     """
     fitting_s = fitting_offsets(groups, slots)
     rivals = [_near_slots(groups, slots, offset_s) for offset_s in fitting_s]
     usual_s = [offset_s for offset_s in expected_s[:1] if offset_s not in fitting_s]
-    if rivals and usual_s and _near_slots(groups, slots, usual_s[0]) >= max(rivals):
+    late_s = delays_s(groups, slots, usual_s[0]) if usual_s and rivals else np.zeros(0)
+    late_s = late_s[np.abs(late_s) <= MAX_DELAY_S]
+    # A wrong clock makes all brackets early or late alike. A sixth of the median: chosen.
+    if len(late_s) >= max(rivals, default=1) and np.std(late_s) > np.median(late_s) / 6.0 > 0.0:
         how = f"civil time of the place; UTC {offsets_text(fitting_s)} would fit the plan better"
         return Offset(usual_s[0], f"{how}: if you know the offset, state it with --utc-offset")
     if len(fitting_s) == 1:
@@ -345,10 +348,12 @@ def clock_offset(
         offset = Offset(stated_s, "--utc-offset")
     elif exif_states_offset(groups):
         # `CardFrame.t_camera` is then UTC.
-        exif_s, civil_s = _exif_offsets_s(groups), _expected_s(groups, slots, setup)[0]
-        civil = f", but civil time of the place is UTC {offset_text(civil_s)}: if the clock showed "
-        civil = "" if exif_s == (civil_s,) else f"{civil}that, state --utc-offset"
-        offset = Offset(0.0, f"stated in EXIF{civil}", exif_s)
+        exif_s, zone = _exif_offsets_s(groups), ZoneInfo(setup.site.timezone)
+        civil = [g.t_camera.astimezone(zone).utcoffset() or timedelta() for g in groups]
+        civil_s = sorted({offset.total_seconds() for offset in civil})
+        text = f" (civil time of the place is UTC {offsets_text(civil_s)}: if the clock showed that"
+        text = "" if {*exif_s} <= {*civil_s} else f"{text}, state --utc-offset)"
+        offset = Offset(0.0, f"stated in EXIF{text}", exif_s)
     else:
         offset = find_offset(groups, slots, _expected_s(groups, slots, setup))
     if offset is not None:

@@ -66,7 +66,6 @@ def command(
     logger_utc_offset_s: Annotated[Any, _utc_offset] = None,
     columns: Annotated[tuple[Any, ...], _column] = (),
     sensitivity: Annotated[tuple[Any, ...], _sensitivity] = (),
-    replace: bool = False,
 ) -> None:
     """Import a card's folder and a logger's file.
 
@@ -88,8 +87,6 @@ def command(
           columns of a file without names.
       --sensitivity QUANTITY=UV_PER_WM2: Sensitivity of the pyranometer, uV per W/m2, if the
           logger's column is a voltage.
-      --replace: Remove stored irradiance that the logger's file contradicts at the same times;
-          irradiance/withdrawn keeps it.
     """
     if folder is None and irradiance_file is None:
         raise click.UsageError("name a card's folder, or a logger's file with --irradiance")
@@ -101,7 +98,7 @@ def command(
 
     clocks = {"utc_offset_s": utc_offset_s, "logger_utc_offset_s": logger_utc_offset_s}
     of_logger: dict[str, Any] = {"logger": irradiance_file, "columns": dict(columns) or None}
-    of_logger |= {"sensitivities": dict(sensitivity) or None, "replace_others": replace}
+    of_logger["sensitivities"] = dict(sensitivity) or None
     with terminal.progress("import"):
         report = import_card.run(session, folder, **clocks, **of_logger)
     for line in _summary(report):

@@ -140,10 +140,10 @@ def compare(
     """Compare a model's result with a session, and write compare.csv and compare.png to `out`.
 
     model: a folder of pictures that are named by the session's slots, or a file or folder for
-    `read_model_hours`. azimuths_deg: view directions of an hourly result that does not name them, in its order,
-    clockwise from true north. annual: the session's predicted year, None without one; only tables
-    of hours need it. Raises InputError for a result that cannot be read, or that shares no picture
-    and no hour with the session, NotEnoughDataError without a year for a table of hours.
+    `read_model_hours`. azimuths_deg: view directions of an hourly result that does not name them,
+    in its order, clockwise from true north. annual: the session's predicted year, None without one;
+    only tables of hours need it. Raises InputError for a result that cannot be read, or that shares
+    no picture and no hour with the session, NotEnoughDataError without a year for a table of hours.
     """
     if model.is_dir() and _sun_up_hours_file(model) is None:
         return _compare_pictures(session, model, out)
@@ -377,8 +377,9 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
 
     path: a csv or tab-separated table with a column dgp or ev for each view, such as ``dgp@180`` or
     ``ev [lx]@180``, and the time as columns month, day and hour, as a column hoy, or as 8760 rows
-    from 1 January; or a results folder of honeybee-radiance. A table of one view may omit ``@180``. azimuths_deg: of the views that the file does not name so, in its
-    order, clockwise from true north. Raises InputError for other content.
+    from 1 January; or a results folder of honeybee-radiance. A table of one view may omit ``@180``.
+    azimuths_deg: of the views that the file does not name so, in its order, clockwise from true
+    north. Raises InputError for other content.
     """
     if path.is_dir():
         return _read_grid(path, azimuths_deg)

@@ -29,7 +29,7 @@ def stage_status(session: Session) -> JsonTable:
     captured = {slot for slot, state in states.items() if state.frames and state.outcome in SETTLED}
     merged = {path.stem for path in session.panorama_files()}
     # `merge` merges these again, if their frames are still there
-    frames = {folder.name for folder in session.captured_folders() if any(folder.glob("*.*[!n]"))}
+    frames = {f.parent.name for f in session.raw.glob("*/*.*") if f.suffix != ".json"}
     stale = {sidecar.slot for sidecar in of_other_profile(session)} & captured & frames
     pairs = PairsFile.find(session.pairs)
     # `simulate` writes pairs of its truth, which are no pairs of merged panoramas.

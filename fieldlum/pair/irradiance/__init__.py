@@ -100,8 +100,9 @@ def local_period_s(t_unix_s: Floats) -> Floats:
 def series_of(samples: Sequence[IrradianceSample]) -> Series:
     """Return samples as arrays in order of time, one row for each time.
 
-    Samples of one time are joined: each quantity is the first value without an instrument's error.
-    Rows get the marks STATUS, DIFFUSE (by the instrument's status), DISORDER and DOUBLE.
+    Samples of one time are joined: each quantity is the first value without an instrument's error,
+    else the first. Rows get the marks STATUS and DIFFUSE (by the instrument's status), of samples
+    whose values are used, DISORDER and DOUBLE.
     """
     t = np.array([s.t_utc.timestamp() for s in samples])
     light = np.array([(s.ghi_wm2, s.dhi_wm2, s.dni_wm2) for s in samples], float).reshape(-1, 3).T
@@ -115,10 +116,14 @@ def series_of(samples: Sequence[IrradianceSample]) -> Series:
     orders = [np.lexsort((np.isnan(values) | faulty, t)) for values in light]
     firsts = [order[np.unique(t[order], return_index=True)[1]] for order in orders]
     joined = np.stack([values[rows] for values, rows in zip(light, firsts, strict=True)])
-    differs = np.isfinite(light) & (light != joined[:, which])
-    marks[keep[which[differs.any(axis=0)]]] |= Mark.DOUBLE
+    has_value = np.isfinite(joined)  # [3, times]
+    of_used = np.bitwise_or.reduce(np.where(has_value, marks[np.stack(firsts)], 0), axis=0)
+    joined_marks = np.where(has_value.any(axis=0), of_used, marks[keep])
+    joined_marks |= marks[keep] & Mark.DISORDER
+    differs = np.isfinite(light) & (light != joined[:, which]) & ~faulty
+    joined_marks[which[differs.any(axis=0)]] |= Mark.DOUBLE
     ghi, dhi, dni = joined
-    return Series(t[keep], ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni, marks=marks[keep])
+    return Series(t[keep], ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni, marks=joined_marks)
 
 
 # ----------------------------------------------------------------------------------------------

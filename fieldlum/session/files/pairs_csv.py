@@ -90,7 +90,11 @@ class PairsFile:
         Rows without `inputs` do not count. Raises OSError if a file of the session cannot be read.
         """
         rows = {Path(row.panorama).stem: row for row in self.rows if row.inputs}
-        now = light_digests(Session(self.path.parent), {s: r.t_utc for s, r in rows.items()})
+        session = Session(self.path.parent)
+        if not session.toml.is_file():  # a copy of the table
+            return frozenset()
+        times, then = ({s: getattr(r, key) for s, r in rows.items()} for key in ("t_utc", "inputs"))
+        now = light_digests(session, times, then)
         return frozenset(slot for slot, row in rows.items() if row.inputs != now[slot])
 
     @property

@@ -391,10 +391,11 @@ def is_model_outdated(session: Session, config: ModelConfig, view: SkyView | Non
 def _of_captures(session: Session) -> dict[str, Any]:
     """Return the inputs of a year that are from its session's captures, not from the model.
 
-    camera_u_rel: result of that function; colour: result of `melanopic.digests`. Raises
-    InputError for a damaged session.
+    camera_u_rel: result of that function, without "vignetting", which depends on where a capture is
+    bright; colour: result of `melanopic.digests`. Raises InputError for a damaged session.
     """
-    return {"camera_u_rel": camera_u_rel(session), "colour": melanopic.digests(session.pairs)}
+    u_rel = {name: u for name, u in camera_u_rel(session).items() if name != "vignetting"}
+    return {"camera_u_rel": u_rel, "colour": melanopic.digests(session.pairs)}
 
 
 def newest_annual(session: Session) -> Annual | None:
