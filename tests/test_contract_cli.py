@@ -40,7 +40,7 @@ WITHOUT_KEPT_KEYS = {
     "bench",
     "compare",
     *(f"calibrate {part}" for part in ("colour", "lens", "linearity", "pixels", "response")),
-    *(f"calibrate {part}" for part in ("shutter", "stray", "vignette")),
+    *(f"calibrate {part}" for part in ("stray", "vignette")),
     "scene click",
 }
 

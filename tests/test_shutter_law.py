@@ -25,6 +25,7 @@ from fieldlum.optics.profiles import (
     CameraProfile,
     Lens,
     Sensor,
+    ShutterTime,
     load_camera_profile,
     save_profile,
 )
@@ -114,6 +115,23 @@ def test_a_merge_finds_the_law_and_reports_it(tmp_path: Path, law: str) -> None:
     assert corrections == pytest.approx([1.0] * 3, abs=0.003)
     seen = np.asarray(result.panorama.flags) == 0
     assert np.median(result.panorama.luminance_cdm2[seen]) == pytest.approx(100.0, rel=0.003)
+
+
+@pytest.mark.contract
+def test_measured_times_of_the_profile_replace_the_law(tmp_path: Path) -> None:
+    """Single frames, so that nothing but the profile tells the true times."""
+    files = _bracket(tmp_path, "exact")
+    known = tuple(ShutterTime(t, t, 1e-3) for t in SMALL.bracket.shutter_s)
+    save_profile(tmp_path / "p.toml", replace(SMALL, shutter=known))
+    measured = load_camera_profile(tmp_path / "p.toml")
+    assert measured.shutter == known
+
+    def level(file: Path, profile: CameraProfile) -> float:
+        panorama = merge_shots(shots_of_files([file]), profile, MergeOptions(height=16)).panorama
+        return float(np.median(panorama.luminance_cdm2[np.asarray(panorama.flags) == 0]))
+
+    assert [level(file, measured) for file in files] == pytest.approx([100.0] * 3, rel=0.003)
+    assert level(files[-1], SMALL) == pytest.approx(100.0 * 64 / 60, rel=0.003)
 
 
 @pytest.mark.contract

@@ -224,7 +224,6 @@ CASES = [
         3,
     ),
     ("calibrate scale @/good.exr --camera @/body.toml --out @/c.toml", "an OpenEXR picture", 3),
-    ("calibrate shutter @/good.toml --camera @/body.toml --out @/c.toml", "this is a file", 3),
     ("calibrate linearity @/photos --camera @/body.toml --out @/c.toml", "camera's raw files", 3),
     ("calibrate pixels @/empty --camera @/body.toml --out @/c.toml", "no frames in this", 3),
     ("calibrate lens @/true.JPG --chessboard 1x1 --camera @/body.toml --out @/c.toml", "3 x 3", 2),

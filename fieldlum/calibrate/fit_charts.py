@@ -72,12 +72,11 @@ def _draw_curves(chart: Chart, left: Any, right: Any) -> None:
     shown = {"linestyle": "", "markersize": 3.5, "alpha": min(1.0, 200 / max(len(x), 1))}
     left.plot(x, y, "o", color=RED, **shown)
     left.plot(x, chart.fitted, ".", color=BLUE, **shown)
-    xscale = "log" if label.endswith("[s]") else "linear"
     wide = y.min() > 0 and y.max() > 30 * y.min()
-    left.set(xscale=xscale, yscale="log" if wide else "linear", xlabel=label, ylabel=y_label)
+    left.set(yscale="log" if wide else "linear", xlabel=label, ylabel=y_label)
     right.plot(x, 100 * chart.residual_rel, "o", color=RED, **shown)
     right.axhline(0.0, color=BLUE, linewidth=1.2)
-    right.set(xscale=xscale, xlabel=label, ylabel="reading less fit [%]")
+    right.set(xlabel=label, ylabel="reading less fit [%]")
     for axes in (left, right):
         open_axes(axes)
 

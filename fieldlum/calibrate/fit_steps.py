@@ -145,12 +145,6 @@ def require(count: int, minimum: int, what: str, remedy: str) -> None:
         raise NotEnoughDataError(f"{what}: {count}; expected at least {minimum}; {remedy}")
 
 
-def require_raw(profile: CameraProfile, remedy: str) -> None:
-    """Raise InputError for a profile of a JPEG camera; remedy: what the user can do."""
-    if profile.camera.kind != "raw":
-        raise InputError(profile.camera.name, "a JPEG camera", "a raw camera", remedy)
-
-
 # ----------------------------------------------------------------------------------------------
 # tables
 

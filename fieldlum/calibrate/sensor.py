@@ -44,7 +44,9 @@ def find(sources: Sequence[Path], profile: CameraProfile) -> PixelDefects:
     this camera, and for a frame with light; NotEnoughDataError for fewer than two frames, or if too
     many pixels deviate.
     """
-    fit_steps.require_raw(profile, "use the camera's raw files")
+    if profile.camera.kind != "raw":
+        remedy = "use the camera's raw files"
+        raise InputError(profile.camera.name, "a JPEG camera", "a raw camera", remedy)
     frames = tuple(frame_files(*sources))
     fit_steps.require(len(frames), 2, "bad pixels: dark frames", "take more with the cap on")
     deviating = [_deviating(path, profile) for path in frames]

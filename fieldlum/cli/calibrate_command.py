@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -40,7 +40,7 @@ class FittedPart:
 
     changed: new values of the profile, by field. lines: sentences about the fit, printed and stored
     in the profile. frames: files whose sha256 is stored. chart: of the fit. notes: for the user, on
-    stderr. figures: printed after the lines, by name; `points` and `times` are tables.
+    stderr. figures: printed after the lines, by name; `points` is a table.
     """
 
     changed: dict[str, Any]
@@ -56,7 +56,7 @@ def command() -> None:
     """Fit a camera's profile from ordinary captures.
 
     Each fit starts from a profile (--camera) and writes a new one (--out); both may be one file.
-    Raw cameras also have pixels and linearity and, once some sessions are merged, shutter.
+    Raw cameras also have pixels and linearity.
 
     \b
     Example, in this order:
@@ -65,7 +65,6 @@ def command() -> None:
       fieldlum calibrate vignette patches.csv --camera mine.toml --out mine.toml
       fieldlum calibrate colour spots.csv --camera mine.toml --out mine.toml
       fieldlum calibrate scale readings.csv --camera mine.toml --out mine.toml
-      fieldlum calibrate shutter SESSION --camera mine.toml --out mine.toml
       fieldlum calibrate pixels cap-on-*.dng --camera mine.toml --out mine.toml
     """
 
@@ -98,7 +97,7 @@ def _run(
     answer = {**plain(new.changed), **new.figures, "why": new.lines, "profile": str(out)}
     lines = [*new.lines]
     for name, value in new.figures.items():
-        is_table = name in ("points", "times")
+        is_table = name == "points"
         lines += terminal.table_lines(value, indent="  ") if is_table else [f"{name}: {value}"]
     terminal.print_answer(as_json, answer, [*lines, f"wrote {out}"])
 
@@ -356,39 +355,6 @@ def scale(
     notes = [*notes, *scales.outlier_texts(readings, fit), *filter(None, [warning])]
     changed, chart = {"scale": replace(profile.scale, k=k, u_rel=u)}, scales.chart(readings, fit)
     return FittedPart(changed, [line], [sources, *frames], chart, notes, figures)
-
-
-@_part
-def shutter(profile: Any, sources: Annotated[Paths, "SESSION...", EXISTING_PATH]) -> FittedPart:
-    """Fit the shutter's true times from merged sessions (raw cameras).
-
-    The SESSIONs must be merged with this profile. Two neighbouring times are used if five or more
-    brackets agree on their ratio within 2 %. A merge with the new profile starts from the fitted
-    times.
-
-    \b
-    Example:
-      fieldlum calibrate shutter my-session --camera mine.toml --out mine.toml
-    """
-    from fieldlum.calibrate import shutter as shutters
-    from fieldlum.optics.profiles import find_camera_profile
-    from fieldlum.session import open_session, sha256
-
-    digest = sha256(find_camera_profile(click.get_current_context().params["camera"]))
-    read = [shutters.from_session(open_session(path), digest) for path in sources]
-    files = [file for _, sidecars in read for file in sidecars]
-    # A law turns nominal times into true ones (third-stops, half-stops, exact). The measured ratios
-    # are relative to the law of the merges, which a profile with "auto" does not state.
-    start = shutters.with_law_of(profile, files)
-    fit = shutters.fit([bracket for brackets, _ in read for bracket in brackets], start)
-    times = []
-    for time, assumed_s, count in zip(fit.times, fit.assumed_s, fit.brackets, strict=True):
-        off_percent = round(100 * (time.true_s / assumed_s - 1), 3)
-        own = {"assumed_s": assumed_s, "brackets": count, "off_percent": off_percent}
-        times.append(asdict(time) | own)
-    notes = [f"not used: {why}; capture more brackets in steady light" for why in fit.left_out]
-    changed = {"shutter": shutters.with_times(start, fit), "shutter_law": start.shutter_law}
-    return FittedPart(changed, [fit.line], files, shutters.chart(fit), notes, {"times": times})
 
 
 @_part

@@ -171,8 +171,8 @@ def _exposure_notes(report: MergeReport) -> Iterator[str]:
         cause = "the light changed or something moved during the bracket"
         yield f"{found}: {cause}, or the response needs calibration"
     for text in report.deviations:
-        cause = "the light changed during the bracket, or shutter times need calibration"
-        remedy = "of a raw camera: fieldlum calibrate shutter"
+        cause = "the light changed during the bracket, or shutter times are wrong"
+        remedy = "if every bracket shows this, write true times into the profile's [[shutter]]"
         yield f"fitted exposures differ from the profile by {text} %: {cause} ({remedy})"
 
 

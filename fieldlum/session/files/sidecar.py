@@ -52,11 +52,6 @@ class FrameQuality(Struct, frozen=True):
         """
         return cls(file, exposure_text(exposure), **asdict(exposure), correction=correction, **more)
 
-    @property
-    def exposure(self) -> Exposure:
-        """The exposure of the frame."""
-        return Exposure(shutter_s=self.shutter_s, f_number=self.f_number, iso=self.iso, nd=self.nd)
-
 
 class NeighbourQuality(Struct, frozen=True):
     """Disagreement [%] of two neighbouring frames in exposure, after all corrections.
