@@ -159,7 +159,9 @@ def test_a_slot_before_a_captured_one_is_no_next_step(rig: Field) -> None:
     for withdrawn, step in ((slots[0], "train"), (slots[-1], "capture")):
         with closing(Journal(rig.session)) as journal:
             journal.append("withdrawn", withdrawn.t_utc, slot=withdrawn.id)
-        assert stage_status(rig.session)["next_step"] == f"fieldlum {step} {rig.session.root}"
+        assert stage_status(rig.session)["next_step"].startswith(
+            f"fieldlum {step} {rig.session.root}"
+        )
 
 
 @pytest.mark.contract

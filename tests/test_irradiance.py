@@ -583,3 +583,26 @@ def test_the_share_of_rows_that_close_is_printed() -> None:
     assert told.closure_pass == pytest.approx(2 / 3, abs=0.01)  # the edge moves by half a minute
     shown = f"is true in only {round(100 * told.closure_pass)} % of the rows"
     assert any(shown in text for text in told.warnings)
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("rows", "joined", "mark"),
+    [
+        ([(1.0, None, "E5"), (500.0, 80.0, "")], (500.0, 80.0), Mark(0)),
+        ([(None, None, "E5"), (500.0, None, "")], (500.0, np.nan), Mark(0)),
+        ([(50.0, None, ""), (None, 80.0, "total below diffuse")], (50.0, 80.0), Mark.DIFFUSE),
+        ([(500.0, None, ""), (3.0, None, "E5")], (500.0, np.nan), Mark(0)),
+        ([(500.0, None, ""), (510.0, None, "")], (500.0, np.nan), Mark.DOUBLE),
+        ([(3.0, None, "E5")], (3.0, np.nan), Mark.STATUS),
+        ([(None, None, "E5")], (np.nan, np.nan), Mark.STATUS),
+    ],
+)
+def test_rows_of_one_time_are_joined_without_those_in_error(
+    rows: list[tuple[float | None, float | None, str]], joined: tuple[float, float], mark: Mark
+) -> None:
+    noon = datetime(2027, 6, 21, 12, tzinfo=UTC)
+    samples = [IrradianceSample(noon, ghi_wm2=g, dhi_wm2=d, status=text) for g, d, text in rows]
+    series = series_of(samples)
+    assert (series.ghi_wm2[0], series.dhi_wm2[0]) == pytest.approx(joined, nan_ok=True)
+    assert series.marks.tolist() == [mark]

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from places import SEATTLE
 
 from fieldlum import pair
-from fieldlum.capture.import_logger import add_samples
+from fieldlum.capture.import_logger import add_samples, remove_rows
 from fieldlum.cli import main
 from fieldlum.core.errors import ChangedFileWarning, InputError, NotEnoughDataError
 from fieldlum.core.records import (
@@ -42,6 +42,7 @@ from fieldlum.pair.bracket_irradiance import irradiance_during
 from fieldlum.pair.sun_strength import completed_sun, measured_sun
 from fieldlum.report.sections import warnings_of
 from fieldlum.session import DayFiles, Session, create_session, mark_slot
+from fieldlum.session.day_files import light_digests
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PAIR_COLUMNS, PairRow, PairsFile, write_simulated_pairs
@@ -293,6 +294,23 @@ def _bracket(session: Session, t_utc: datetime) -> None:
         "size_bytes": (session.panoramas / f"{name}.exr").stat().st_size,
     }
     (session.panoramas / f"{name}.json").write_text(json.dumps(side))
+
+
+@pytest.mark.contract
+def test_a_slow_log_is_compared_beyond_its_neighbours(tmp_path: Path) -> None:
+    """Rows 15 minutes apart: another value before the bracket counts, later rows do not."""
+    session = make_session(tmp_path / "s", None)
+    shutil.rmtree(session.irradiance)
+    times = [NOON + timedelta(minutes=15 * k) for k in range(-4, 2)]
+    rows = [IrradianceSample(t, ghi_wm2=300.0, raw=f"{t}") for t in times]
+    add_samples(session, rows)
+    of = {"slot": NOON + timedelta(minutes=5)}
+    before = light_digests(session, of)
+    add_samples(session, [IrradianceSample(NOON + timedelta(minutes=30), ghi_wm2=310.0)])
+    assert light_digests(session, of, before) == before != light_digests(session, of)
+    remove_rows(session, rows[2:3])
+    add_samples(session, [replace(rows[2], ghi_wm2=390.0)])
+    assert light_digests(session, of, before) != before
 
 
 @pytest.mark.contract

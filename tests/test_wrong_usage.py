@@ -211,7 +211,7 @@ CASES = [
     ("glare @/good.exr --csv @/good.exr", "exists already", 3),
     ("view @/true.JPG", "a JPEG picture.*merge photos", 3),
     ("view @/session", "no panorama to view", 5),
-    ("compare @/session @/good.exr", "an OpenEXR picture; expected a model's table", 3),
+    ("compare @/session @/good.exr", "an OpenEXR picture; expected an hourly table", 3),
     ("export @/session", "no merged map and no year; run fieldlum merge", 5),
     ("bench @/sky.csv --site @/good.toml --out @/b", "no column panorama", 3),
     ("simulate @/body.toml --out @/s2", "a camera profile; expected a SITE.toml", 3),

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from fieldlum.core.files import read_bytes
-from fieldlum.core.records import JsonTable, Slot, utc_text
+from fieldlum.core.records import JsonTable, Slot, counted, utc_text
 from fieldlum.session import Session, day_files
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.sidecar import of_other_profile
@@ -50,8 +50,12 @@ def stage_status(session: Session) -> JsonTable:
         "report": {"done": (session.report / "index.html").is_file()},
     }
     # A slot before a captured one, which a card without its bracket leaves, cannot be captured.
-    waits = any(s.id > max(captured, default="") for s in slots_to_do(slots, recorded))
-    return {**answer, "next_step": next_step(answer, waits)}
+    to_do = slots_to_do(slots, recorded)
+    waits = any(slot.id > max(captured, default="") for slot in to_do)
+    step = next_step(answer, waits)
+    if to_do and not waits:
+        step += f" (or import the card of {counted(len(to_do), 'earlier slot')}, if there is one)"
+    return {**answer, "next_step": step}
 
 
 def next_step(answer: JsonTable, waits: bool = True) -> str:
