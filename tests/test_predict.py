@@ -24,6 +24,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room as Room3d
 from fieldlum.core.records import Site
 from fieldlum.learn import models
+from fieldlum.session import create_session
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.sky.sky_view.picture import SkyGrid
 from fieldlum.sky.sky_view.pose import CameraPose
@@ -488,6 +489,7 @@ def test_a_repaired_weather_file_is_labelled(model: Path, tmp_path: Path) -> Non
 def test_a_model_of_pairs_with_other_irradiance_now_asks_to_pair_again(
     model: Path, tmp_path: Path
 ) -> None:
+    tmp_path = create_session(tmp_path / "s", DATA.setup, [], {}).root
     shutil.copytree(model, tmp_path / "models" / "auto")
     path = tmp_path / "w.csv"
     path.write_text("month,day,hour,dni_wm2,dhi_wm2\n6,21,12.5,500,100\n6,21,13.5,400,120\n")
@@ -546,7 +548,6 @@ def test_a_model_of_earlier_pictures_is_refused_and_the_report_warns(
     """As of another room with the same plan, or of a session that was merged and paired again."""
 
     from fieldlum.report.sections import warnings_of
-    from fieldlum.session import create_session
     from fieldlum.sky.sky_view.view import CHANNELS
     from fieldlum.year.predict import read_annual
 
@@ -597,7 +598,6 @@ def test_a_model_of_another_site_or_camera_is_refused(
 
     from fieldlum.core.records import Panorama
     from fieldlum.optics.images import write_panorama
-    from fieldlum.session import create_session
 
     setup = replace(
         DATA.setup, site=replace(DATA.setup.site, latitude_deg=DATA.setup.site.latitude_deg + 1.0)
