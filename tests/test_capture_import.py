@@ -518,6 +518,10 @@ def test_another_quantity_joins_the_rows_of_its_times(session: Session, tmp_path
     assert add_samples(session, both) == (1, 0)
     mixed = [IrradianceSample(DAWN, ghi_wm2=390.0, dhi_wm2=60.0, raw="390,60")]
     assert add_samples(session, mixed) == (0, 1), "no global of one file with diffuse of another"
+    rows = rows_of(session)
+    minute = timedelta(minutes=1)  # of a wrong clock, so that only the last row has a free time
+    moved = [replace(row, t_utc=row.t_utc + minute) for row in rows if row.ghi_wm2 in ghi]
+    assert add_samples(session, moved)[0] == 0 and rows_of(session) == rows
 
 
 @pytest.mark.contract

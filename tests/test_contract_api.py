@@ -49,6 +49,7 @@ NAMES = (
 )
 FUNCTIONS = [name for name in NAMES if name[0].islower()]
 OFFICE = ROOT / "capture_plans" / "seattle-office.toml"
+MASKED = np.ma.masked_array([800.0], [True])
 GREY = fieldlum.Panorama(np.ones((4, 8)), 180.0)
 
 
@@ -226,6 +227,7 @@ def test_coordinates_ascend_so_that_plots_work_with_every_heading(heading_deg: f
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, [1.0, 2.0], 1.0), "dni_wm2"),
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, -1.0, 1.0), "0 to 1600 W/m2"),
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, 8e4, 1.0), "0 to 1600 W/m2"),
+        (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, MASKED, 1.0), "values nan"),
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", 3, 1.0, 1.0), "a value of type int"),
         (lambda: fieldlum.evaluate_glare("a.exr", ["north"]), "view_azimuths_deg"),
         (lambda: fieldlum.evaluate_glare("a.exr", 180.0), "view_azimuths_deg"),
@@ -246,6 +248,7 @@ def test_coordinates_ascend_so_that_plots_work_with_every_heading(heading_deg: f
                 ({"luminance_cdm2": np.full((4, 8), np.inf)}, "infinite"),
                 ({"t_utc": "2027-01-01"}, "no datetime"),
                 ({"sun": (30.0, 0.0, 1e4)}, "impossible sun"),
+                ({"sun": fieldlum.SunSource(30.0, 0.0, 1e4, 2.0)}, "impossible sun"),
                 ({"t_utc": datetime(2027, 1, 1, tzinfo=UTC).replace(tzinfo=None)}, "time zone"),
                 ({"sun": fieldlum.SunSource(95.0, 0.0, 1e4)}, "impossible sun"),
                 ({"sun": fieldlum.SunSource(30.0, 0.0, -1e4)}, "impossible sun"),

@@ -315,7 +315,8 @@ def light_at(
     for name, given in (("dni_wm2", dni_wm2), ("dhi_wm2", dhi_wm2)):
         remedy = "pass one value for each time"
         with input_errors(name, "numbers in W/m2", remedy, TypeError, ValueError):
-            numbers = np.broadcast_to(np.asarray(given, float), len(times))
+            masked = np.ma.asarray(given, dtype=float)
+            numbers = np.broadcast_to(np.ma.filled(masked, np.nan), len(times))
         highest = IRRADIANCE_LIMITS_WM2[1]
         if not (np.isfinite(numbers).all() and ((numbers >= 0) & (numbers <= highest)).all()):
             found = f"values {numbers.min():g} to {numbers.max():g}"

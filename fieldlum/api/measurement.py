@@ -201,6 +201,7 @@ def _checked(panorama: object) -> Panorama:
             and abs(sun.altitude_deg) <= 90.0
             and np.isfinite(sun.azimuth_deg)
             and 0.0 <= sun.normal_illuminance_lx < np.inf
+            and 0.0 <= sun.visible_fraction <= 1.0
         ):
             raise ValueError(f"an impossible sun, {sun}")
         rgb = None if rgb is None else np.asarray(rgb, float)
@@ -406,7 +407,7 @@ def evaluate_glare(
     """
     expected, remedy = "azimuths in degrees, such as [180.0]", "pass numbers"
     with input_errors("view_azimuths_deg", expected, remedy, TypeError, ValueError):
-        if isinstance(view_azimuths_deg, str):
+        if isinstance(view_azimuths_deg, str | bytes):
             raise ValueError(f"the text {view_azimuths_deg!r}")
         azimuths = [float(azimuth) for azimuth in view_azimuths_deg]
         if not np.isfinite(azimuths).all():

@@ -133,27 +133,32 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> tuple[
 
     A reading adds to them if its time is not stored, or if it has a quantity that no row of its
     time has, and no other value; `series_of` joins rows of one time. It is a contradiction if it
-    has another value of a stored quantity. Of equal readings in sequence, one is appended;
+    has another value of a stored quantity. With more contradictions than such readings none is
+    appended, as for a file of another clock. Of equal readings in sequence, one is appended;
     different readings of the same time in `samples` all are. Raises OSError if a day file cannot be
     read or written, InputError as `DayFiles` does.
     """
-    paths, count, contradicted = {path.stem: path for path in day_files(session)}, 0, 0
+    paths, contradicted = {path.stem: path for path in day_files(session)}, 0
+    added: list[IrradianceSample] = []
     # Equal readings in sequence come from a table that contains a copy of itself.
     ordered = [sample for sample, _ in groupby(sorted(samples, key=lambda s: s.t_utc))]
+    for day, of_day in groupby(ordered, key=lambda s: s.t_utc.strftime("%Y-%m-%d")):
+        stored: dict[datetime, set[tuple[str, float]]] = {}
+        for row in read_day(paths[day])[0] if day in paths else ():
+            stored.setdefault(row.t_utc, set()).update(_numbers(row))
+        for sample in of_day:
+            known = stored.get(sample.t_utc)
+            new = {name for name, _ in _numbers(sample) - (known or set())}
+            if new & {name for name, _ in known or ()}:
+                contradicted += 1
+            elif new or known is None:
+                added.append(sample)
+    if contradicted > len(added):
+        return 0, contradicted
     with closing(DayFiles(session, flush=False)) as log:
-        for day, of_day in groupby(ordered, key=lambda s: s.t_utc.strftime("%Y-%m-%d")):
-            stored: dict[datetime, set[tuple[str, float]]] = {}
-            for row in read_day(paths[day])[0] if day in paths else ():
-                stored.setdefault(row.t_utc, set()).update(_numbers(row))
-            for sample in of_day:
-                known = stored.get(sample.t_utc)
-                new = {name for name, _ in _numbers(sample) - (known or set())}
-                if new & {name for name, _ in known or ()}:
-                    contradicted += 1
-                elif new or known is None:
-                    log.append(sample)
-                    count += 1
-    return count, contradicted
+        for sample in added:
+            log.append(sample)
+    return len(added), contradicted
 
 
 def _numbers(sample: IrradianceSample) -> set[tuple[str, float]]:

@@ -110,7 +110,8 @@ def command(
     if report.known:
         line += f"; already imported: {counted(report.known, 'bracket')}"
     click.echo(f"{session.root}: {line}")
-    terminal.notes(PairsFile.find(session.pairs).pair_again)
+    for line in PairsFile.find(session.pairs).pair_again:
+        terminal.say(line)
 
 
 def _summary(report: Report) -> list[str]:

@@ -70,7 +70,7 @@ def command(
         notes.insert(0, f"nothing to do: {same} (--force predicts it again)")
     # of the model's session; a model elsewhere has no such file
     notes += PairsFile.find(model_folder.resolve().parent.parent / "pairs.csv").pair_again
-    for text in () if as_json else (*summary.model_warnings, *notes):
+    for text in () if as_json else dict.fromkeys((*summary.model_warnings, *notes)):
         say(text)
     lines = [f"{summary.hours} daylight hours in {annual.folder / 'hourly.csv'}"]
     for row in summary.protection:
