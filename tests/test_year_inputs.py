@@ -23,6 +23,7 @@ from fieldlum.report.export_and_pack import _notes
 from fieldlum.report.sections import melanopic_shares, warnings_of
 from fieldlum.session import Session, create_session
 from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE
 from fieldlum.year.predict import newest_annual, outdated_text, run
 from fieldlum.year.predict.hour_blocks import room_of
 from fieldlum.year.predict.year import _notes as _year_notes
@@ -46,10 +47,13 @@ def weather_file(path: Path, without: tuple[str, ...] = ()) -> Path:
     return path
 
 
-def merge(session: Session, weight: float = 0.2, scale_percent: float = 2.0) -> None:
-    """Write the session's grey pictures with colour weights and an uncertainty of the scale."""
+def merge(
+    session: Session, weight: float = 0.2, scale_percent: float = 2.0, vignetting_percent: float = 0
+) -> None:
+    """Write the session's grey pictures with colour weights and uncertainties of the camera."""
     text = attribute_text(np.array([weight, 0.5, 0.1]), np.eye(3), 0.03)
     about = {"melanopic": text, "u_percent": f"scale={scale_percent:g}"}
+    about["u_percent"] += f" vignetting={vignetting_percent:g}"
     session.panoramas.mkdir(exist_ok=True)
     for path in session.root.glob("m*.exr"):
         light = read_panorama(path).luminance_cdm2
@@ -86,6 +90,22 @@ def test_a_recalibrated_camera_gives_another_year(session: Session, tmp_path: Pa
     assert outdated_text(session, second)
     third, new = run(folder, weather, views=2)
     assert new and (second.summary.u_scale_rel, third.summary.u_scale_rel) == (0.02, 0.1)
+
+
+def test_vignetting_differs_by_capture_and_is_in_the_budget(
+    session: Session, tmp_path: Path
+) -> None:
+    """A later capture with another one does not outdate the year."""
+    merge(session, vignetting_percent=1.0)
+    year = run(session.models / "nearest", weather_file(tmp_path / "w.csv"), views=2).annual
+    budget = (year.folder / BUDGET_FILE).read_text()
+    assert "camera scale" in budget and "camera vignetting" in budget
+    newest = session.panorama("20270320T160000Z")
+    attributes = {"u_percent": "scale=2 vignetting=1.5"}
+    write_panorama(newest, replace(read_panorama(newest), attributes=attributes))
+    assert not outdated_text(session, year)
+    write_panorama(newest, replace(read_panorama(newest), attributes={"u_percent": "scale=3"}))
+    assert outdated_text(session, year)
 
 
 def test_captures_that_were_added_do_not_make_a_year_outdated(

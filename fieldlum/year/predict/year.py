@@ -116,7 +116,8 @@ def run(
     light = _daylight(weather, weather_path, lit)
     azimuths = view_azimuths_deg(room.heading_deg, views)
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
-    camera, colours = of_captures["camera_u_rel"], None
+    camera = {} if session is None else camera_u_rel(session)
+    colours = None
     if session is not None and of_captures["colour"]:
         colours = melanopic.year_of_captures(session.pairs, room, azimuths, camera)
     # an interruption must not leave the hours of one weather file with the classes of another
