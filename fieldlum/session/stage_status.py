@@ -20,9 +20,9 @@ def stage_status(session: Session) -> JsonTable:
     damaged_lines: line numbers in the journal. irradiance: numbers of days and rows, last (date or
     None), cleaned (whether clean.csv exists). merge, pair: numbers of panoramas done and owed; pair
     also: of usable rows; pairs whose irradiance or mark changed since are owed, and so are
-    panoramas of another camera profile. train: models, the
-    names. predict: years, the names. report: done (bool). next_step: see `next_step`. Raises
-    InputError for a file of the session that cannot be used, OSError for one that cannot be read.
+    panoramas of another camera profile. train: models, the names. predict: years, the names.
+    report: done (bool). next_step: see `next_step`. Raises InputError for a file of the session
+    that cannot be used, OSError for one that cannot be read.
     """
     slots, recorded = session.slots(), read_slot_states(session)
     states = {slot.id: recorded.state(slot.id) for slot in slots}
