@@ -42,10 +42,15 @@ from fieldlum.pair.bracket_irradiance import irradiance_during
 from fieldlum.pair.sun_strength import completed_sun, measured_sun
 from fieldlum.report.sections import warnings_of
 from fieldlum.session import DayFiles, Session, create_session, mark_slot
-from fieldlum.session.day_files import light_digests
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
-from fieldlum.session.files.pairs_csv import PAIR_COLUMNS, PairRow, PairsFile, write_simulated_pairs
+from fieldlum.session.files.pairs_csv import (
+    PAIR_COLUMNS,
+    PairRow,
+    PairsFile,
+    light_digests,
+    write_simulated_pairs,
+)
 from fieldlum.session.files.sidecar import warn_if_picture_changed
 from fieldlum.session.panorama_sun import SunRow, read_panorama_with_sun
 from fieldlum.session.stage_status import stage_status

@@ -26,10 +26,9 @@ from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.view import patch_rays
 from fieldlum.session import Session, marks, remove_scraps, replacing_path, sha256
 from fieldlum.session.codec import current_note, digest, write_object
-from fieldlum.session.day_files import light_digests
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
-from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile, light_digests
 from fieldlum.session.files.sidecar import Sidecar, warn_if_picture_changed
 from fieldlum.session.panorama_sun import SunRow, write_suns
 from fieldlum.sky import sun

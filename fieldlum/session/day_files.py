@@ -1,21 +1,17 @@
 """Read and write irradiance/2027-03-20.csv: one file for each UTC day, appended row by row."""
 
 import csv
-import hashlib
 import io
 import math
 import os
 import zlib
-from collections.abc import Mapping
-from datetime import UTC, datetime, timedelta
+from datetime import UTC
 from pathlib import Path
 
 from fieldlum.core import files
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import IrradianceSample, parse_utc, utc_text
-from fieldlum.session.codec import data_digest
 from fieldlum.session.folder import Session
-from fieldlum.session.journal import marks
 from fieldlum.session.safe_paths import open_inside, refuse_link
 
 QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
@@ -133,39 +129,3 @@ def read_day(path: Path) -> tuple[list[IrradianceSample], int]:
             elif line.removeprefix(b"\xef\xbb\xbf").rstrip() != _DAY_HEADER.rstrip():
                 damaged += 1
     return samples, damaged
-
-
-# Of a bracket's light: rows of loggers up to 15 minutes apart are used from two intervals away.
-_NEAR_MINUTES = 35
-
-
-def light_digests(
-    session: Session, times: Mapping[str, datetime], earlier: Mapping[str, str] | None = None
-) -> dict[str, str]:
-    """Return a text for each slot id: what the session now has of the slot's light.
-
-    It is the digest of the slot's mark and of the lines that were logged within 35 minutes of its
-    time, but before the last such minute, and that minute. times: by slot id; earlier: results of
-    an earlier call, whose last minutes are used, so that lines which a running log added since do
-    not count. Raises OSError if a file cannot be read.
-    """
-    span, marked = range(-_NEAR_MINUTES, _NEAR_MINUTES + 1), marks(session)
-    near = {
-        slot: [utc_text(t + timedelta(minutes=k))[:16].encode() for k in span]
-        for slot, t in times.items()
-    }
-    lines = {minute: hashlib.sha256() for minutes in near.values() for minute in minutes}
-    logged: set[bytes] = set()
-    for path in day_files(session):
-        for line in files.read_bytes(path).splitlines():
-            if (of_minute := lines.get(line[:16])) is not None:
-                of_minute.update(line)
-                logged.add(line[:16])
-    texts = {minute: lines[minute].hexdigest() for minute in logged}
-    digests: dict[str, str] = {}
-    for slot, minutes in near.items():
-        until = (earlier or {}).get(slot, "").partition(" ")[2]
-        until = until or max((m.decode() for m in minutes if m in texts), default="")
-        used = [texts[m] for m in minutes if m in texts and m.decode() < until]
-        digests[slot] = f"{data_digest(marked.get(slot), used)[:12]} {until}"
-    return digests

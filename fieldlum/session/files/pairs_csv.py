@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import posixpath
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import counted, parse_utc
+from fieldlum.core.files import read_bytes
+from fieldlum.core.records import counted, parse_utc, utc_text
 from fieldlum.core.strict_csv import IRRADIANCE_LIMITS_WM2, read_table
-from fieldlum.session.codec import check_format, read_row, sealed, warn_if_changed, write_csv
-from fieldlum.session.day_files import light_digests
+from fieldlum.session.codec import (
+    check_format,
+    data_digest,
+    read_row,
+    sealed,
+    warn_if_changed,
+    write_csv,
+)
+from fieldlum.session.day_files import day_files
 from fieldlum.session.folder import Session
+from fieldlum.session.journal import marks
 from fieldlum.session.safe_paths import refuse_link, refuse_outside
 
 FORMAT = 1  # of the file; docs/file-formats.md
@@ -208,3 +218,39 @@ def write_simulated_pairs(session: Session, rows: tuple[PairRow, ...]) -> None:
     stored = (row.panorama for row in PairsFile.find(session.pairs).rows)
     if all(name.startswith("truth/") for name in stored if name):
         PairsFile(session.pairs, rows).write()
+
+
+# Of a bracket's light: rows of loggers up to 15 minutes apart are used from two intervals away.
+_NEAR_MINUTES = 35
+
+
+def light_digests(
+    session: Session, times: Mapping[str, datetime], earlier: Mapping[str, str] | None = None
+) -> dict[str, str]:
+    """Return a text for each slot id: what the session now has of the slot's light.
+
+    It is the digest of the slot's mark and of the lines that were logged within 35 minutes of its
+    time, but before the last such minute, and that minute. times: by slot id; earlier: results of
+    an earlier call, whose last minutes are used, so that lines which a running log added since do
+    not count. Raises OSError if a file cannot be read.
+    """
+    span, marked = range(-_NEAR_MINUTES, _NEAR_MINUTES + 1), marks(session)
+    near = {
+        slot: [utc_text(t + timedelta(minutes=k))[:16].encode() for k in span]
+        for slot, t in times.items()
+    }
+    lines = {minute: hashlib.sha256() for minutes in near.values() for minute in minutes}
+    logged: set[bytes] = set()
+    for path in day_files(session):
+        for line in read_bytes(path).splitlines():
+            if (of_minute := lines.get(line[:16])) is not None:
+                of_minute.update(line)
+                logged.add(line[:16])
+    texts = {minute: lines[minute].hexdigest() for minute in logged}
+    digests: dict[str, str] = {}
+    for slot, minutes in near.items():
+        until = (earlier or {}).get(slot, "").partition(" ")[2]
+        until = until or max((m.decode() for m in minutes if m in texts), default="")
+        used = [texts[m] for m in minutes if m in texts and m.decode() < until]
+        digests[slot] = f"{data_digest(marked.get(slot), used)[:12]} {until}"
+    return digests
