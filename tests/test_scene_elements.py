@@ -226,9 +226,8 @@ def test_a_shade_stays_outside() -> None:
 def test_stated_values_count_more_with_few_sunny_hours() -> None:
     search = _search(ROOM)
     every = search.evidence
-    names = ("log_seen", "below", "direct_lx", "rows", "suns")
-    parts = {name: getattr(every, name)[:6] for name in names}
-    few = replace(every, **parts)
+    parts = {name: getattr(every, name)[:6] for name in ("log_seen", "below", "direct_lx", "rows")}
+    few = replace(every, **parts, clock=every.clock[:, :6])
     misfit = few.misfit(few.patches(search.start, search.albedo)).mean()
     unit = prior_unit(few, search.start, search.albedo)
     assert unit == pytest.approx(PRIOR_HOURS / 6 * PRIOR_SHARE * misfit)

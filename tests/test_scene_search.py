@@ -18,7 +18,6 @@ from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Obstruction, Room, Site
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.optics import projection
 from fieldlum.room.fit.apply_scene import apply_scene, with_scene
 from fieldlum.room.fit.evidence import SceneEvidence, levelled, scene_evidence
 from fieldlum.room.fit.fit import fit_scene
@@ -155,7 +154,7 @@ def test_north_and_edges_are_found(data: Dataset, evidence: SceneEvidence) -> No
         ROOM, camera_x_m=2.45, window=(replace(ROOM.window[0], left_m=0.65, height_m=1.86),)
     )
     start = replace(guess_of(wrong), north_deg=0.0)
-    turned = replace(evidence, suns=projection.turned(evidence.suns, 1.0))  # stated north: 1 off
+    turned = replace(evidence, clock=evidence.clock + np.array([0.0, 1.0]))  # stated north: 1 off
     # With pixels of 2.8 degrees these cannot be told from north.
     known = ("clock_min", "wall_azimuth_deg", "tilt_deg", "roll_deg")
     parameters = [p for p in room_parameters(start) if p.name not in known]

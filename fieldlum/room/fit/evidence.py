@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from datetime import timedelta
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
 from fieldlum.core.statistics import cauchy_weights
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.optics.projection import equirect_solid_angles, turned
+from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.room.fit.guess import Guess, guess_of
 from fieldlum.room.fit.renderer import FLOOR, OUTSIDE, SHELL, Surfaces, surfaces, unit_patches
 from fieldlum.room.fit.skyline import Skyline, skyline_of
@@ -25,8 +26,8 @@ from fieldlum.room.fit.sunny_hours import (
 )
 from fieldlum.room.scene.box_room import is_box_with_window
 from fieldlum.room.scene.view import pixel_rays
+from fieldlum.sky import sun
 from fieldlum.sky.light_similarity import Kernel, facades_of, light_features
-from fieldlum.sky.sky_view.measured_discs import sun_earlier
 
 # From a study of two rooms rendered by Radiance, before this code was written. docs/scene.md has
 # later measurements.
@@ -48,6 +49,7 @@ ALBEDOS, ALBEDO_COST = np.geomspace(0.03, 0.95, 37), 5e-4
 WALLS_FACTOR = 2.0  # of a wall's albedo to the median of the walls, at most; chosen
 # pixels nearer to a window are omitted, because they may look through it; chosen
 _WINDOW_MARGIN_DEG = 4.0
+_CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
 
 
 @dataclass(frozen=True)
@@ -57,10 +59,10 @@ class SceneEvidence:
     log_seen [n, m]: ln of the captured luminance, cd/m2; below [n, m]: luminance estimated without
     direct sun, cd/m2; direct_lx [n]: of the sun, on a plane normal to it; rays [r, 3]: unit
     vectors, sub x sub in each pixel, x east, y north, z up by the stated heading; pixel [r]: for
-    each ray, the index in `pixels` of its pixel; days [n]: local dates; suns [n, 3]: unit vectors
-    to the apparent sun at the stated times, x east, y true north, z up; latitude_deg: of the site;
-    rows [n]: indices of the hours in the captures; pixels [m]: flat indices in the panorama;
-    spread: angle between neighbouring rays [rad]; skyline: what the sky view shows.
+    each ray, the index in `pixels` of its pixel; days [n]: local dates; clock [41, n, 2]: altitude
+    and azimuth (clockwise from north) of the sun, deg, if the stated time were -20, -19 ... 20 min
+    after the true time; rows [n]: indices of the hours in the captures; pixels [m]: flat indices in
+    the panorama; spread: angle between neighbouring rays [rad]; skyline: what the sky view shows.
     """
 
     log_seen: Floats
@@ -69,8 +71,7 @@ class SceneEvidence:
     rays: Floats32
     pixel: Indices
     days: NDArray[np.datetime64]
-    suns: Floats
-    latitude_deg: float
+    clock: Floats
     rows: Indices
     pixels: Indices
     sub: int
@@ -100,11 +101,15 @@ class SceneEvidence:
     def suns_room(self, guess: Guess) -> Floats32:
         """Return unit vectors to the sun in room axes, by the guess's north and clock, [n, 3].
 
-        Room axes: `fieldlum.room.fit.guess`. With the clock the sun turns about the celestial pole,
-        which is right to 0.01 degrees for 19 minutes.
+        Room axes: `fieldlum.room.fit.guess`. Between full minutes of the clock, and beyond 20, the
+        sun's angles are linear in time.
         """
-        world = sun_earlier(self.suns, guess.clock_min, self.latitude_deg)
-        return (turned(world, -guess.north_deg) @ guess.turn.T).astype(np.float32)
+        minutes = guess.clock_min + _CLOCK_REACH_MIN  # after the first row of `clock`
+        row = int(np.clip(np.floor(minutes), 0, len(self.clock) - 2))
+        share = minutes - row
+        altitude, azimuth = ((1.0 - share) * self.clock[row] + share * self.clock[row + 1]).T
+        world = sun.direction(altitude, azimuth - guess.north_deg)
+        return (world @ guess.turn.T).astype(np.float32)
 
     def patches(self, guess: Guess, albedo: Floats) -> Floats:
         """Return the luminance of the guess's sun patches, cd/m2 [n, m].
@@ -234,8 +239,7 @@ def scene_evidence(
         rays=rays.astype(np.float32),
         pixel=pixel,
         days=data.days[rows],
-        suns=data.light.apparent_sun_direction[rows],
-        latitude_deg=data.setup.site.latitude_deg,
+        clock=_clock_table(data, rows),
         rows=rows,
         pixels=chosen,
         sub=sub,
@@ -243,6 +247,23 @@ def scene_evidence(
         skyline=skyline_of(data.sky_view, guess, data.setup.site.latitude_deg),
     )
     return evidence.relit(data, np.zeros_like(evidence.below))
+
+
+def _clock_table(data: Dataset, rows: Indices) -> Floats:
+    """Return altitude and azimuth of the sun, deg, for c minutes of the clock's error, [c, n, 2].
+
+    Stated times are -20 ... 20 min after the true ones. The captures' own sun angles are shifted by
+    the sun's motion in that time. rows: indices of the n hours in the captures.
+    """
+    light, site = data.light[rows], data.setup.site
+    stated = sun.position(light.t_utc, site)
+    table = []
+    for late_min in range(-_CLOCK_REACH_MIN, _CLOCK_REACH_MIN + 1):
+        true = sun.position([t - timedelta(minutes=late_min) for t in light.t_utc], site)
+        altitude = light.apparent_altitude_deg + true.altitude_deg - stated.altitude_deg
+        azimuth = light.sun_azimuth_deg + signed_angle_deg(true.azimuth_deg - stated.azimuth_deg)
+        table.append(np.stack([altitude, azimuth], axis=-1))
+    return np.stack(table)
 
 
 def _draw_pixels(data: Dataset, guess: Guess, count: int) -> Indices:

@@ -16,7 +16,7 @@ NORTH_SD_DEG, CLOCK_SD_MIN, LEVEL_SD_DEG = 2.0, 5.0, 0.3
 LENGTH_SD_SHARE, EDGE_SD_M, CAMERA_SD_M, THICKNESS_SD_M = 0.02, 0.05, 0.05, 0.05
 GLASS_SD = 0.2  # chosen: tinted and coated panes have 0.3 to 0.7, and look clear
 POSE_NAMES = ("north_deg", "tilt_deg", "roll_deg", "clock_min")
-CLOCK_REACH_MIN = 19.0  # chosen: four times the prior's 5 minutes, nearly
+CLOCK_REACH_MIN = 19.0  # of the table of suns in `evidence`
 # First steps of the search, chosen: m of the room, degrees, m of a solid inside and outside.
 _STEP_M, _STEP_DEG, _SOLID_STEP_M, _OUTSIDE_STEP_M = 0.04, 0.5, 0.16, 0.5
 
