@@ -21,9 +21,9 @@ from fieldlum.cli.new_command import site_text, started_profile
 from fieldlum.core.records import CameraSetup, Exposure, Obstruction, Room, SiteFile, Window
 from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.optics.raw.writing import write_jpeg
+from fieldlum.report.stage_status import next_step
 from fieldlum.room.scene.drawing import compass_text, room_svg
 from fieldlum.session.site_toml import load_site
-from fieldlum.session.stage_status import next_step
 
 MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
 ROOM = Room(

@@ -41,6 +41,7 @@ from fieldlum.pair import irradiance
 from fieldlum.pair.bracket_irradiance import irradiance_during
 from fieldlum.pair.sun_strength import completed_sun, measured_sun
 from fieldlum.report.sections import warnings_of
+from fieldlum.report.stage_status import stage_status
 from fieldlum.session import DayFiles, Session, create_session, mark_slot
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
@@ -53,7 +54,6 @@ from fieldlum.session.files.pairs_csv import (
 )
 from fieldlum.session.files.sidecar import warn_if_picture_changed
 from fieldlum.session.panorama_sun import SunRow, read_panorama_with_sun
-from fieldlum.session.stage_status import stage_status
 from fieldlum.sky import sun
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun_disc import add_source

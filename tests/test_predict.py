@@ -5,6 +5,7 @@ input.
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -548,8 +549,14 @@ def test_a_model_of_earlier_pictures_is_refused_and_the_report_warns(
     """As of another room with the same plan, or of a session that was merged and paired again."""
 
     from fieldlum.report.sections import warnings_of
+    from fieldlum.report.stage_status import stage_status
     from fieldlum.sky.sky_view.view import CHANNELS
     from fieldlum.year.predict import read_annual
+
+    def outdated() -> tuple[list[str], list[str]]:
+        """Return the outdated models and years, as status states them."""
+        answer = stage_status(session)
+        return answer["train"]["outdated"], answer["predict"]["outdated"]
 
     session = create_session(tmp_path / "s", DATA.setup, [], {})
     own = session.models / "nearest"
@@ -570,15 +577,26 @@ def test_a_model_of_earlier_pictures_is_refused_and_the_report_warns(
     year = run(own, weather)[0]
     earlier = "Year nearest is of another model"
     assert earlier not in " ".join(warnings_of(session, year))
+    assert outdated() == ([], [])
     more = view.inputs | {"captures": [*slots, "2027-06-21/1200"], "others": "c"}
     replace(view, inputs=more).write(session.sky_view)
     assert earlier not in " ".join(warnings_of(session, year))  # more captures since
     replace(view, inputs=view.inputs | {"others": "b"}).write(session.sky_view)
+    assert outdated() == (["nearest"], ["nearest"])
     with pytest.raises(InputError, match="of other pictures, irradiance or times"):
         run(own, weather)
     assert earlier in " ".join(warnings_of(session, read_annual(year.folder)))
     replace(view, inputs=view.inputs | {"captures": []}).write(own / "sky_view.exr")
     run(own, weather)  # train --sky-view FILE of other captures proves nothing
+    assert outdated() == ([], [])
+    (own / "config.json").write_text((own / "config.json").read_text() + "\n")  # trained again
+    assert outdated() == ([], ["nearest"])
+    page = session.report / "index.html"
+    page.parent.mkdir()
+    page.write_text("")
+    assert stage_status(session)["report"] == {"done": True, "outdated": False}
+    os.utime(page, (0, 0))  # before the year was predicted
+    assert stage_status(session)["report"] == {"done": True, "outdated": True}
 
 
 @pytest.mark.contract

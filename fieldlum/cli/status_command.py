@@ -22,8 +22,8 @@ def command(
       --mark SLOT|DATE STATE: Record the room's state at a slot, or at all captured slots of a
           local date: lamp=on|off, blind=up|half|down, tint=clear|half|full, snow=yes|no.
     """
+    from fieldlum.report.stage_status import stage_status
     from fieldlum.session import mark_slot
-    from fieldlum.session.stage_status import stage_status
 
     if mark is not None:
         zone = ZoneInfo(session.site_file().site.timezone)
@@ -46,6 +46,8 @@ def _lines(answer: JsonTable) -> list[str]:
     of_set = f" ({plan['set']})" if plan["set"] else ""
     damaged = f"; {text}" if (text := damage_text(capture["damaged_lines"])) else ""
     upcoming = f", next {capture['next']}" if capture["next"] else ""
+    report = "done" if answer["report"]["done"] else "none"
+    report = "outdated" if answer["report"]["outdated"] else report
     return [
         f"{answer['session']}: {answer['name']}",
         f"plan        {counted(plan['slots'], 'slot')}{of_set}",
@@ -55,8 +57,13 @@ def _lines(answer: JsonTable) -> list[str]:
         f"irradiance  {counted(log['rows'], 'row')} on {counted(log['days'], 'UTC day')}",
         f"merge       {merge['done']} done, {merge['owed']} to do",
         f"pair        {pair['done']} done, {pair['usable']} usable{truth}, {pair['owed']} to do",
-        f"train       {', '.join(answer['train']['models']) or 'none'}",
-        f"predict     {', '.join(answer['predict']['years']) or 'none'}",
-        f"report      {'done' if answer['report']['done'] else 'none'}",
+        f"train       {_names(answer['train']['models'], answer['train']['outdated'])}",
+        f"predict     {_names(answer['predict']['years'], answer['predict']['outdated'])}",
+        f"report      {report}",
         f"next        {answer['next_step']}",
     ]
+
+
+def _names(names: list[str], outdated: list[str]) -> str:
+    """Return a list of names, of which some are outdated."""
+    return ", ".join(f"{n} (outdated)" if n in outdated else n for n in names) or "none"

@@ -1,10 +1,12 @@
 """annual/NAME/predict.json: how a year was predicted, and its glare classes."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from msgspec import Struct, field
 
+from fieldlum.core.files import sha256
 from fieldlum.session.codec import JsonFile
 
 
@@ -99,3 +101,8 @@ class PredictFile(JsonFile, frozen=True):
     model_warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     protection: tuple[DirectionYear, ...] = ()
+
+    def is_of(self, model_config: Path) -> bool:
+        """Return whether the year is of a model as config.json is now; True if that is gone."""
+        used = self.inputs.get("model_sha256")
+        return used is None or not model_config.is_file() or used == sha256(model_config)

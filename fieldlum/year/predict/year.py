@@ -427,7 +427,7 @@ def outdated_text(session: Session, annual: Annual) -> str:
     if not (folder / "config.json").is_file():
         return ""
     config, colour, now = read_config(folder), used.get("colour"), _of_captures(session)
-    same = used.get("model_sha256") in (None, sha256(folder / "config.json"))
+    same = annual.summary.is_of(folder / "config.json")
     same &= used.get("camera_u_rel", now["camera_u_rel"]) == now["camera_u_rel"]
     # in earlier versions colour is True or False
     same &= not isinstance(colour, dict) or colour.items() <= now["colour"].items()

@@ -1,11 +1,14 @@
 """Report what each stage, from plan to report, has done and must still do in a session."""
 
+from contextlib import suppress
 from pathlib import Path
 
+from fieldlum.core.errors import InputError
 from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, Slot, counted, utc_text
 from fieldlum.session import Session, day_files
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import of_other_profile
 from fieldlum.session.journal import damaged_lines
 from fieldlum.session.slot_states import SETTLED, SlotStates, read_slot_states, slots_to_do
@@ -20,8 +23,10 @@ def stage_status(session: Session) -> JsonTable:
     damaged_lines: line numbers in the journal. irradiance: numbers of days and rows, last (date or
     None), cleaned (whether clean.csv exists). merge, pair: numbers of panoramas done and owed; pair
     also: of usable rows; pairs whose irradiance or mark changed since are owed, and so are
-    panoramas of another camera profile. train: models, the names. predict: years, the names.
-    report: done (bool). next_step: see `next_step`. Raises InputError for a file of the session
+    panoramas of another camera profile. train: models, the names, and outdated, those of other
+    pairs than the present ones. predict: years, the names, and outdated, those of a model that is
+    outdated or was trained again. report: done (bool), outdated (bool): older than a year.
+    next_step: see `next_step`. Raises InputError for a file of the session
     that cannot be used, OSError for one that cannot be read.
     """
     slots, recorded = session.slots(), read_slot_states(session)
@@ -45,9 +50,7 @@ def stage_status(session: Session) -> JsonTable:
         "irradiance": _irradiance_status(session),
         "merge": {"done": len(merged - stale), "owed": len(captured - (merged - stale))},
         "pair": {"done": len(paired), "usable": len(usable), "owed": len(merged - paired)},
-        "train": {"models": [path.name for path in session.model_folders()]},
-        "predict": {"years": sorted(p.name for p in session.annual.glob("*") if p.is_dir())},
-        "report": {"done": (session.report / "index.html").is_file()},
+        **_result_status(session),
     }
     # A slot before a captured one, which a card without its bracket leaves, cannot be captured.
     to_do = slots_to_do(slots, recorded)
@@ -66,7 +69,8 @@ def next_step(answer: JsonTable, waits: bool = True) -> str:
     """
     root = answer["session"]
     capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
-    models = answer["train"]["models"]
+    train, years, report = answer["train"], answer["predict"], answer["report"]
+    models = [name for name in train["models"] if name not in train["outdated"]]
     model = f"{root}/models/{models[0] if models else ''}"
     next_capture = f"fieldlum capture {root}"
     if capture["frames"] == 0:
@@ -81,10 +85,52 @@ def next_step(answer: JsonTable, waits: bool = True) -> str:
         (capture["owed"] and waits, next_capture),
         (nothing_captured, f"fieldlum plan {root} --replan, {why}"),
         (not models, f"fieldlum train {root}"),
-        (not answer["predict"]["years"], f"fieldlum predict {model} --weather FILE"),
-        (not answer["report"]["done"], f"fieldlum report {root}"),
+        (not {*years["years"]} - {*years["outdated"]}, f"fieldlum predict {model} --weather FILE"),
+        (not report["done"] or report["outdated"], f"fieldlum report {root}"),
     )
     return next((step for is_due, step in steps if is_due), f"open {root}/report/index.html")
+
+
+def _result_status(session: Session) -> dict[str, JsonTable]:
+    """Return what train, predict and report have done, and which of it is outdated.
+
+    A model is outdated if the sky view in its folder has other inputs than that of the session; a
+    damaged model or year is not judged here.
+    """
+    folders, pages = session.model_folders(), [session.report / "index.html"]
+    models = [folder.name for folder in folders if _is_of_other_pairs(session, folder)]
+    notes, years = [folder / "predict.json" for folder in session.annual_folders()], []
+    for note in notes:
+        with suppress(InputError):
+            year = PredictFile.read(note.parent)
+            name = str(year.inputs.get("model", ""))
+            is_now = name not in models and year.is_of(session.models / name / "config.json")
+            years += [] if is_now else [note.parent.name]
+    report_s, newest_s = (
+        max((file.stat().st_mtime for file in files if file.is_file()), default=-1.0)
+        for files in (pages, notes)
+    )
+    done = sorted(path.name for path in session.annual.glob("*") if path.is_dir())
+    return {
+        "train": {"models": [folder.name for folder in folders], "outdated": models},
+        "predict": {"years": done, "outdated": years},
+        "report": {"done": report_s >= 0.0, "outdated": 0.0 <= report_s < newest_s},
+    }
+
+
+def _is_of_other_pairs(session: Session, model: Path) -> bool:
+    """Return whether a model's sky view has other inputs than the session's.
+
+    It is False without one of the views, and for a view that is not from captures of the session.
+    """
+    from fieldlum.sky.sky_view.view import SKY_VIEW, SkyView
+
+    with suppress(InputError):
+        views = SkyView.find(session.sky_view), SkyView.find(model / SKY_VIEW)
+        own, of_model = (view.inputs if view else {} for view in views)
+        shared = {*own.get("captures", ())} & {*of_model.get("captures", ())}
+        return bool(shared) and own != of_model
+    return False
 
 
 def _plan_status(session: Session, slots: list[Slot]) -> JsonTable:
