@@ -153,3 +153,18 @@ def test_a_stated_uncertainty_is_not_reported_as_uneven_luminance(tmp_path: Path
     )
     readings, _, notes = scale.from_table(table, PROFILE)
     assert readings[0].u_rel == pytest.approx(0.15) and not any("uneven" in n for n in notes)
+
+
+@pytest.mark.contract
+def test_scale_takes_no_illuminance_of_what_no_lens_saw(tmp_path: Path) -> None:
+    """Unseen pixels would count as black: a meter in a uniform room then gave a third too much."""
+    flags = np.zeros((60, 120), np.uint16)
+    flags[:, :30] = flags[:, 90:] = Flag.OUTSIDE_LENS  # a lens to the south sees half of it
+    light = np.where(flags == 0, np.float32(200.0), np.float32(0.0))
+    write_panorama(tmp_path / "p.exr", Panorama(light, 180.0, flags=flags))
+    full = _spots(tmp_path / "t.csv", [f"p.exr,180,0,,{200 * np.pi:.1f}"])
+    assert scale.fit(scale.from_table(full, PROFILE)[0]).factor == pytest.approx(1.0, abs=2e-3)
+    for place in ("240,0", "180,60"):
+        part = _spots(tmp_path / "t.csv", [f"p.exr,{place},,{200 * np.pi:.1f}"])
+        with pytest.raises(InputError, match=r"p.exr: no lens saw 25 % of what lights the plane"):
+            scale.from_table(part, PROFILE)

@@ -318,3 +318,27 @@ def test_the_view_option_makes_a_picture_of_another_program_a_panorama(
         assert picture_glare(path, (120.0,), view_options=text)["views"] == views
     shown = CliRunner().invoke(main, ["view", str(path), "--out", str(out), "--view", text])
     assert shown.exit_code == 0 and out.is_file(), shown.output
+
+
+@pytest.mark.contract
+def test_a_view_that_is_not_complete_is_not_scaled_by_its_illuminance(tmp_path: Path) -> None:
+    """Measured over seen light would make all luminances a third too high."""
+    path = tmp_path / "f.hdr"
+    write_radiance_hdr(path, np.full((60, 60), 100.0), view=SOUTH.replace("180", "120"))
+    with pytest.raises(InputError, match="16 % of the first view is not in the picture"):
+        picture_glare(path, measured_ev_lx=200.0)
+
+
+@pytest.mark.authority
+def test_the_disc_in_a_fisheye_is_no_window(tmp_path: Path) -> None:
+    """Window over task luminance and uniformity are those of the panorama without its disc."""
+    light = np.full((90, 180), 300.0, np.float32)
+    light[20:45, 75:105] = 4000.0
+    sun = SunSource(30.0, 185.0, 60_000.0)
+    write_panorama(tmp_path / "p.exr", Panorama(light, 180.0, sun=sun))
+    shown = panorama_to_fisheye(light, 180.0, 180.0, size=900, sun=sun)
+    write_radiance_hdr(tmp_path / "f.hdr", shown, view=SOUTH)
+    whole = picture_glare(tmp_path / "p.exr", [180.0])["views"][0]
+    of_fisheye = picture_glare(tmp_path / "f.hdr")["views"][0]
+    for name in ("window_to_task", "uniformity"):
+        assert of_fisheye[name] == pytest.approx(whole[name], rel=0.03)

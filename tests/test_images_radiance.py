@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from radiance_header import add_lines
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Flag, Panorama
+from fieldlum.core.records import Flag, Panorama, SunSource
 from fieldlum.optics.images import (
     RADIANCE_LM_PER_W,
     RADIANCE_Y,
@@ -23,6 +24,7 @@ from fieldlum.optics.images import (
     write_picture,
     write_radiance_hdr,
 )
+from fieldlum.year.glare.picture_glare import picture_glare
 
 SCENE = """
 void glow sky 0 0 4 5 6 9 0
@@ -260,3 +262,22 @@ def test_pixels_that_no_lens_saw_stay_unseen_and_pvalue_reads_the_others(tmp_pat
     np.testing.assert_allclose(of_other[seen], picture.luminance_cdm2[seen], 0.01, 1e-8)
     write_picture(path, Panorama(light[:7], 90.0))
     assert read_radiance_hdr(path)[0].flags is None, "black is black where all was seen"
+
+
+def test_a_hdr_keeps_the_sun_and_the_number_of_clipped_pixels(tmp_path: Path) -> None:
+    """The sun is drawn, because no header line can state it; DGP was 0.2 in place of 1.0."""
+    flags = np.zeros((60, 120), np.uint16)
+    flags[10, 20:23] = Flag.CLIPPED_HIGH
+    sun = SunSource(30.0, 200.0, 20_000.0)
+    scene = Panorama(np.full((60, 120), 300.0, np.float32), 180.0, flags=flags, sun=sun)
+    rgb = np.full((60, 120, 3), 300.0 / RADIANCE_LM_PER_W)
+    for picture in (scene, replace(scene, rgb=rgb)):
+        write_picture(tmp_path / "a.hdr", picture)
+        write_picture(tmp_path / "a.exr", picture)
+        hdr, exr = (picture_glare(tmp_path / f"a.{suffix}", [180.0]) for suffix in ("hdr", "exr"))
+        for name, tolerance in (("ev_lx", 0.02), ("dgp", 0.01)):
+            of_hdr, of_exr = (answer["views"][0][name] for answer in (hdr, exr))
+            assert of_hdr == pytest.approx(of_exr, rel=tolerance)
+        assert [
+            any("clipped in every frame: 3 pixels" in t for t in a["warnings"]) for a in (hdr, exr)
+        ] == [True, True]

@@ -26,7 +26,7 @@ from fieldlum.merge.linear_frames import JpegSignal, RawSignal, lens_crop, load_
 from fieldlum.merge.project import LensView, blend, resampler
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.merge.sun_and_sky import disc_px, mosaic_u_rel, take_out_disc
-from fieldlum.optics.illuminance import vertical_illuminance_lx
+from fieldlum.optics.illuminance import illuminance_lx
 from fieldlum.optics.linear_light import vignetting_of
 from fieldlum.optics.profiles import (
     CameraProfile,
@@ -272,7 +272,7 @@ def test_known_luminance_comes_back(bracket, name: str, headings: tuple) -> None
         and np.median(panorama.u_cdm2[good] / panorama.luminance_cdm2[good]) < 0.05
     )
     image, known = (
-        vertical_illuminance_lx(a, 180.0, 180.0) for a in (panorama.luminance_cdm2, truth())
+        illuminance_lx(a, 180.0, 0.0, 180.0) for a in (panorama.luminance_cdm2, truth())
     )
     assert image == pytest.approx(
         known, rel=5e-3
@@ -310,7 +310,7 @@ def test_a_uniform_room_gives_pi_l(
 ) -> None:  # analytic: within 0.05 % (and the camera's noise)
     shots, profile = bracket("sim-dual-fisheye", uniform=200.0)
     panorama = merge(shots, profile).panorama
-    assert vertical_illuminance_lx(panorama.luminance_cdm2, 180.0, 30.0) == pytest.approx(
+    assert illuminance_lx(panorama.luminance_cdm2, 180.0, 0.0, 30.0) == pytest.approx(
         200 * np.pi, rel=1e-3
     )
 
@@ -352,9 +352,9 @@ def test_the_sun_is_measured_through_the_filter_and_taken_out(bracket) -> None:
     )  # each colour stands on every second pixel of a small sensor
     assert without.sun.normal_illuminance_lx == pytest.approx(60_000, rel=u_rel) and u_rel < 0.6
     assert without.luminance_cdm2.max() < 2e4 and (without.flags & Flag.FILLED).any()
-    total = vertical_illuminance_lx(without.luminance_cdm2, 180.0, 180.0, without.sun)
+    total = illuminance_lx(without.luminance_cdm2, 180.0, 0.0, 180.0, without.sun)
     assert total == pytest.approx(
-        vertical_illuminance_lx(panorama.luminance_cdm2, 180.0, 180.0), rel=0.01
+        illuminance_lx(panorama.luminance_cdm2, 180.0, 0.0, 180.0), rel=0.01
     )
 
 

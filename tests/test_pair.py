@@ -24,6 +24,7 @@ from fieldlum.core.records import (
     CLIPPED_SUN,
     CameraSetup,
     Exposure,
+    Flag,
     IrradianceSample,
     Panorama,
     Room,
@@ -262,6 +263,10 @@ def test_a_meter_beside_the_lens_comes_first() -> None:  # uniform 100 cd/m2 giv
     source, _ = measured_sun(picture(SOUTH), 90_000.0, 100 * np.pi + 60_000.0 * cosine)
     assert source is not None and source.origin == "meter"
     assert source.normal_illuminance_lx == pytest.approx(60_000.0, rel=2e-3)
+    narrow = picture(SOUTH)
+    flags = np.where(np.abs(np.arange(16) - 7.5) > 3.0, Flag.OUTSIDE_LENS, 0) * np.ones((8, 1), int)
+    source, _ = measured_sun(replace(narrow, flags=flags), 90_000.0, 60_000.0)
+    assert source == SOUTH, "what the lens did not see is no part of the sun"
 
 
 def make_session(folder: Path, room: Room | None, hours: int = 2) -> Session:

@@ -22,7 +22,7 @@ from fieldlum.optics.camera_curves import (
     vignetting_at,
 )
 from fieldlum.optics.exposure import prior_u_log, same_exposure, true_times_s, z_per_cdm2
-from fieldlum.optics.illuminance import illuminance_lx, illuminance_verdict, vertical_illuminance_lx
+from fieldlum.optics.illuminance import illuminance_lx, illuminance_verdict
 from fieldlum.optics.linear_light import saturation_plateau
 
 # ----------------------------------------------------------------------------------------------
@@ -236,9 +236,7 @@ def test_vignetting_signs() -> None:
 def test_a_uniform_field_gives_pi_l_at_any_size(height: int, azimuth: float) -> None:
     field = np.full((height, 2 * height), 100.0)
     tolerance = 5e-4  # the 0.05 %
-    assert vertical_illuminance_lx(field, 10.0, azimuth) == pytest.approx(
-        100 * np.pi, rel=tolerance
-    )
+    assert illuminance_lx(field, 10.0, 0.0, azimuth) == pytest.approx(100 * np.pi, rel=tolerance)
     assert illuminance_lx(field, 10.0, 90.0, 0.0) == pytest.approx(100 * np.pi, rel=tolerance)
 
 
@@ -247,7 +245,7 @@ def test_the_sun_beside_the_map_adds_its_cosine() -> None:
     sun = SunSource(30.0, 200.0, 50_000.0)
     dark = np.zeros((32, 64))
     assert illuminance_lx(dark, 180.0, 90.0, 0.0, sun) == pytest.approx(25_000)
-    assert vertical_illuminance_lx(dark, 180.0, 20.0, sun) == 0.0
+    assert illuminance_lx(dark, 180.0, 0.0, 20.0, sun) == 0.0
 
 
 @pytest.mark.authority

@@ -11,7 +11,7 @@ import uncertainties
 from click.testing import CliRunner
 
 from fieldlum.cli import main
-from fieldlum.core.records import U_PERCENT, Panorama, SunSource
+from fieldlum.core.records import U_PERCENT, Flag, Panorama, SunSource
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.melanopic import attribute_text
 from fieldlum.year.glare.metrics import dgp
@@ -51,6 +51,22 @@ def test_shared_errors_of_a_sum_add_up_and_independent_ones_average() -> None:
     assert parts["colour"] == pytest.approx(COLOUR, rel=1e-3)
     assert parts["noise, edges and other parts of single pixels"] < NOISE / 4
     assert ev.u == pytest.approx(np.hypot(SCALE, COLOUR) * ev.estimate, rel=0.1)
+
+
+@pytest.mark.analytic
+def test_what_no_lens_saw_is_a_source() -> None:
+    """Half of a uniform room unseen: the true Ev was 12 stated u above the estimate."""
+    flags = np.zeros(SIZE, np.uint16)
+    flags[:, :16] = flags[:, 48:] = Flag.OUTSIDE_LENS
+    light = np.where(flags == 0, np.float32(200.0), np.float32(0.0))
+    one = Panorama(light, 180.0, 0.03 * light, flags, attributes={U_PERCENT: "scale=3"})
+    budgets = picture_budget(Picture(one, None), Path("room"), [240.0, 180.0], 1.0)
+    beside, ahead = (b for b in budgets if b.figure == "Ev")
+    assert abs(beside.estimate - 200 * np.pi) < 3.5 * beside.u
+    unseen = [s for s in beside.sources if s.name == "part of the view that no lens saw"]
+    # rectangular from black to the brightest luminance seen, over a quarter of the plane's light
+    assert unseen[0].contribution == pytest.approx(50 * np.pi / np.sqrt(12), rel=0.02)
+    assert ahead.u < 0.1 * ahead.estimate
 
 
 @pytest.mark.slow

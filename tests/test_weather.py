@@ -16,6 +16,7 @@ from fieldlum.cli import main
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.core.records import Site
 from fieldlum.sky import sun
+from fieldlum.weather import formats
 
 PLACELESS = ("the file states no place: it is taken as weather of the site",)
 
@@ -220,6 +221,27 @@ def test_wrong_time_zone_shows_as_light_at_night(tmp_path) -> None:
     _write_epw(tmp_path / "w.epw", _year(), longitude=122.3)
     with pytest.raises(InputError, match="time zone UTC-8"):
         weather.read_weather(tmp_path / "w.epw", SEATTLE)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("zone", "longitude", "fits"),
+    [
+        (13, -171.8, True),
+        (14, -157.4, True),
+        (10, -157.9, False),
+        (-11, -171.8, True),
+        (13, 171.8, True),
+    ],
+)
+def test_zones_east_of_the_date_line(zone: int, longitude: float, fits: bool) -> None:
+    """Samoa and Kiritimati have the date of the east; Hawaii with a wrong sign does not."""
+    cells = [-13.8, longitude, 10.0, zone]
+    if fits:
+        assert formats._place(Path("w.epw"), cells, "a header", "Apia")[1] == timedelta(hours=zone)
+    else:
+        with pytest.raises(InputError, match="time zone UTC\\+10"):
+            formats._place(Path("w.epw"), cells, "a header", "Honolulu")
 
 
 @pytest.mark.contract

@@ -14,6 +14,7 @@ from fieldlum.core.records import Flag, Panorama, listed
 from fieldlum.optics.illuminance import illuminance_lx
 from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.projection import FULLY_SEEN_SHARE
 
 # A reading is an outlier if it differs from the fit by more than this and by more than three u. A
 # spot whose mean has a larger relative u has an edge in its field. Chosen, not measured.
@@ -64,7 +65,8 @@ def from_table(
     of a reading (default 0.02). The picture's luminance is the trimmed mean over a disc of 1
     degree, its illuminance that on a plane which faces the direction, both converted from the k of
     the merge to the profile's k. Raises InputError for a line with both or neither reading, a place
-    that is clipped or without light, and pictures of another calibration.
+    that is clipped or without light, a
+    plane in partial view, and pictures of another calibration.
     """
     optional = {"luminance_cdm2": None, "illuminance_lx": None, "u_rel": fit_steps.READING_U}
     rows = fit_steps.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
@@ -86,7 +88,7 @@ def _reading(path: Path, row: fit_steps.CsvRow, picture: Panorama, to_k: float) 
 
     row: its line of the csv at `path`; picture: the panorama that it names; to_k: factor that
     converts the picture's luminance to the profile's k. Raises InputError for neither or both of
-    luminance and illuminance, and for clipped pixels.
+    luminance and illuminance, and for clipped or unseen pixels.
     """
     at = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])
     spot, plane = row["luminance_cdm2"], row["illuminance_lx"]
@@ -102,6 +104,12 @@ def _reading(path: Path, row: fit_steps.CsvRow, picture: Panorama, to_k: float) 
         _refuse_clipped(picture, front, at.path, place)
         light, heading_deg = picture.luminance_cdm2, picture.heading_deg
         image = illuminance_lx(light, heading_deg, at.y, at.x, picture.sun)
+        uniform = picture.seen.astype(float)  # gives pi lx in full view
+        seen = illuminance_lx(uniform, heading_deg, at.y, at.x) / math.pi
+        if seen < FULLY_SEEN_SHARE:
+            finding = f"no lens saw {100 * (1 - seen):.0f} % of what lights the plane, {place}"
+            remedy = "remove this reading, or state luminances of places that a lens saw"
+            raise InputError(at.path, finding, "a plane in full view", remedy)
     u_rel, label = math.hypot(row["u_rel"], u_image), f"{at.path.stem} {at.x:g}/{at.y:g} deg"
     meter = float(spot or plane or 0.0)
     return LuminanceReading(

@@ -389,6 +389,11 @@ class Panorama:
         return (self.flags & Flag.OUTSIDE_LENS) == 0
 
     @property
+    def clipped_count(self) -> int:
+        """Number of pixels that are clipped in every frame; 0 if flags are unknown."""
+        return 0 if self.flags is None else int((self.flags & Flag.CLIPPED_HIGH > 0).sum())
+
+    @property
     def seen_cdm2(self) -> Floats32:
         """Copy of the luminance [H, W], NaN in pixels that no lens saw."""
         return np.where(self.seen, self.luminance_cdm2, np.float32(np.nan)).astype(np.float32)

@@ -18,10 +18,16 @@ from fieldlum.merge.ratios import Exposures, any_beyond_prior
 from fieldlum.merge.sensor_frames import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
 from fieldlum.merge.sun_and_sky import MEASURED, sky_cut, sun_on_sensor, take_out_disc
-from fieldlum.optics.illuminance import vertical_illuminance_lx
+from fieldlum.optics.illuminance import illuminance_ahead_lx
 from fieldlum.optics.images import PICTURE_SUFFIXES, write_picture
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.projection import Equirect, Fisheye, Target, signed_angle_deg
+from fieldlum.optics.projection import (
+    FULLY_SEEN_SHARE,
+    Equirect,
+    Fisheye,
+    Target,
+    signed_angle_deg,
+)
 from fieldlum.optics.raw import roll_deg_of, white_balance_is_fixed
 from fieldlum.session.codec import to_json
 from fieldlum.session.files.sidecar import FrameQuality, MeasuredSun, MergeReport
@@ -339,18 +345,21 @@ def _measured_sun(
 # one picture file (`fieldlum merge --frames`)
 
 
-def _axis_illuminance_lx(result: MergeResult, target: Target) -> float:
+def _axis_illuminance_lx(result: MergeResult, target: Target) -> float | None:
     """Return the illuminance [lx] at the camera on a plane that faces the picture's centre.
 
     target: pixel grid of the picture. This is the vertical illuminance for a camera that looks
-    horizontally.
+    horizontally; None if the lens saw too little of the hemisphere in front.
     """
-    light, heading_deg = result.panorama.luminance_cdm2, result.panorama.heading_deg
+    panorama = result.panorama
     if isinstance(target, Equirect):
-        return vertical_illuminance_lx(light, heading_deg, heading_deg)
+        return illuminance_ahead_lx(panorama)
     centre = np.arange(target.size) + 0.5
     cosine = np.maximum(target.rays(centre, centre) @ target.lens.axes()[2], 0.0)
-    return float((light * cosine * target.solid_angles()).sum())
+    weights = cosine * target.solid_angles()  # with the sum pi in full view
+    if (weights * panorama.seen).sum() < FULLY_SEEN_SHARE * np.pi:
+        return None
+    return float((panorama.luminance_cdm2 * weights).sum())
 
 
 def files_to_picture(
@@ -360,11 +369,12 @@ def files_to_picture(
     options: MergeOptions | None = None,
     *,
     heading_deg: float = 180.0,
-) -> tuple[MergeResult, dict[str, float]]:
+) -> tuple[MergeResult, dict[str, float | None]]:
     """Merge files of one heading and write the picture; return the result and its illuminance.
 
     The illuminance is a dict with the key vertical_illuminance_lx: at the camera, on a plane that
-    faces the picture's centre. Exposures come from the EXIF; the sun's disc is not searched for.
+    faces the picture's centre; None if the lens saw too little of what lights the plane. Exposures
+    come from the EXIF; the sun's disc is not searched for.
     options: None for the defaults. heading_deg: azimuth of the picture's centre, clockwise from
     true north. Raises InputError for a frame that cannot be merged, or if `out` ends neither in
     .exr nor in .hdr, OSError if `out` cannot be written.

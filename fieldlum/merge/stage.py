@@ -23,7 +23,7 @@ from fieldlum.core.records import CLIPPED_SUN, JsonTable, Site, counted, parse_u
 from fieldlum.merge.bracket import MergeOptions, MergeResult, merge_shots
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
 from fieldlum.merge.sun_and_sky import disc_px, expected_sun_deg, mosaic_u_rel
-from fieldlum.optics.illuminance import vertical_illuminance_lx
+from fieldlum.optics.illuminance import illuminance_ahead_lx
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.optics.raw import unreadable
@@ -190,8 +190,7 @@ def _with_session_facts(
     The verdict mentions lost and missing frames, and an uncertain sun. complete: whether all
     planned frames exist; lost: names of unreadable frames.
     """
-    panorama, heading_deg = result.panorama, result.panorama.heading_deg
-    ev_lx = vertical_illuminance_lx(panorama.luminance_cdm2, heading_deg, heading_deg, panorama.sun)
+    ev_lx = illuminance_ahead_lx(result.panorama, result.panorama.sun)
     report = structs.replace(result.report, vertical_illuminance_lx=ev_lx, lost=tuple(lost))
     text = result.verdict
     if not complete:

@@ -5,8 +5,14 @@ from typing import Literal
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.records import SunSource
-from fieldlum.optics.projection import direction, equirect_rays, row_solid_angles
+from fieldlum.core.records import Panorama, SunSource
+from fieldlum.optics.projection import (
+    FULLY_SEEN_SHARE,
+    direction,
+    equirect_rays,
+    row_solid_angles,
+    seen_shares,
+)
 
 
 def _cosine_weights(height: int, width: int, heading_deg: float, normal: Floats) -> Floats:
@@ -47,15 +53,16 @@ def illuminance_lx(
     return total
 
 
-def vertical_illuminance_lx(
-    luminance_cdm2: Floats, heading_deg: float, azimuth_deg: float, sun: SunSource | None = None
-) -> float:
-    """Return the illuminance [lx] of a vertical plane that faces `azimuth_deg`, as at an eye.
+def illuminance_ahead_lx(panorama: Panorama, sun: SunSource | None = None) -> float | None:
+    """Return the illuminance [lx] of a vertical plane that faces the heading, as at an eye.
 
-    luminance_cdm2: panorama [H, W] in cd/m2, row 0 at the zenith, with its middle at azimuth
-    `heading_deg`; azimuths clockwise from north. sun: a sun that is not in the panorama, or None.
+    sun: a sun that is not in the panorama's pixels, or None. The result is None if the lenses saw
+    less than `FULLY_SEEN_SHARE` of the plane's hemisphere, of which the rest would count as black.
     """
-    return illuminance_lx(luminance_cdm2, heading_deg, 0.0, azimuth_deg, sun)
+    heading_deg = panorama.heading_deg
+    if seen_shares(panorama.seen, heading_deg, [heading_deg])[0] < FULLY_SEEN_SHARE:
+        return None
+    return illuminance_lx(panorama.luminance_cdm2, heading_deg, 0.0, heading_deg, sun)
 
 
 def illuminance_verdict(image_lx: float, meter_lx: float) -> Literal["pass", "warn", "reject"]:

@@ -29,7 +29,15 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Floats32, Mask, UInts8
 from fieldlum.core.errors import InputError, input_errors, kind_of, library_messages
 from fieldlum.core.files import open_to_read, replacing_path
-from fieldlum.core.records import MAX_PIXELS, Flag, Panorama, SunSource, parse_utc, utc_text
+from fieldlum.core.records import (
+    MAX_PIXELS,
+    Flag,
+    Panorama,
+    SunSource,
+    counted,
+    parse_utc,
+    utc_text,
+)
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics import melanopic
 from fieldlum.optics.profiles import CameraProfile
@@ -45,6 +53,7 @@ PANORAMA_LINE = "FIELDLUM_VIEW= equirect heading_deg="
 # Header line of a Radiance picture in which pixels of 0 are those that no lens saw; others have at
 # least this luminance, a millionth of that of a night sky.
 _UNSEEN_LINE, _DARKEST_CDM2 = "FIELDLUM_UNSEEN= 0", 1e-9
+_CLIPPED_KEY = "FIELDLUM_CLIPPED="  # number of pixels that are clipped in every frame
 _RESOLUTION = re.compile(rb"\s*([+-])([XY])\s+(\d+)\s+([+-])([XY])\s+(\d+)\s*")
 _RGBE, _XYZE = "32-bit_rle_rgbe", "32-bit_rle_xyze"
 # Values a byte of the file in large pictures (128 MB as .exr, 512 MB as .hdr when decoded).
@@ -71,7 +80,8 @@ class RadianceHeader:
     white, [8]. xyze: whether the pixels are XYZ instead of RGB. views: the picture's own VIEW lines
     in order; inherited_views: those of its input pictures. heading_deg: azimuth of a panorama's
     centre, clockwise from north, None if the file states none. pixel_aspect: height over width of a
-    pixel. black_is_unseen: whether pixels of 0 are those that no lens saw.
+    pixel. black_is_unseen: whether pixels of 0 are those that no lens saw; clipped: number of
+    pixels that were clipped in every frame, as far as the file states it.
     """
 
     axes: tuple[str, str]
@@ -84,6 +94,7 @@ class RadianceHeader:
     heading_deg: float | None
     pixel_aspect: float
     black_is_unseen: bool = False
+    clipped: int = 0
 
     @property
     def view(self) -> str:
@@ -173,7 +184,16 @@ def read_radiance_hdr(path: Path) -> tuple[Panorama, RadianceHeader]:
     heading_deg = 180.0 if header.heading_deg is None else header.heading_deg
     unseen = Flag.OUTSIDE_LENS * (rgb == 0.0).all(axis=-1).astype(np.uint16)
     flags = unseen if header.black_is_unseen else None
-    return Panorama(luminance, heading_deg, flags=flags, rgb=rgb), header
+    attributes = {"note": clipped_text(header.clipped)} if header.clipped else {}
+    return Panorama(luminance, heading_deg, flags=flags, rgb=rgb, attributes=attributes), header
+
+
+def clipped_text(count: int) -> str:
+    """Return the warning of a number of pixels that are clipped in every frame."""
+    return (
+        f"clipped in every frame: {counted(count, 'pixel')}; the true luminance there, and "
+        "DGP, may be higher; capture shorter exposures as well, unless it is the sun's disc"
+    )
 
 
 def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
@@ -226,6 +246,7 @@ def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
         raise InputError(path, f"values with a gamma of {gamma:g}", "linear values", remedy)
     axes, counts = _resolution(file.readline(200), path)
     marks = [line for line in lines if line.startswith(PANORAMA_LINE)]
+    clipped = any(line.startswith(_CLIPPED_KEY) for line in lines)
     return RadianceHeader(
         axes=axes,
         counts=counts,
@@ -237,6 +258,7 @@ def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
         heading_deg=_heading(marks[-1], path) if marks else None,
         pixel_aspect=float(_product(lines, "PIXASPECT=", 1, path)[0]),
         black_is_unseen=_UNSEEN_LINE in lines,
+        clipped=int(_product(lines, _CLIPPED_KEY, 1, path)[0]) if clipped else 0,
     )
 
 
@@ -342,13 +364,14 @@ def write_radiance_hdr(
     view: str = "",
     heading_deg: float | None = None,
     seen: Mask | None = None,
+    clipped: int = 0,
 ) -> None:
     """Write cd/m2 [H, W] or radiance RGB [H, W, 3] in W/sr/m2 as a Radiance picture (flat RGBE).
 
     view: view options of Radiance, such as "-vta -vh 180 -vv 180"; a panorama has heading_deg
     instead, the azimuth of its centre, clockwise from north. seen [H, W]: pixels that a lens saw,
-    all if None; others are 0, which a line of the header states. Raises OSError if the file cannot
-    be written.
+    all if None; others are 0, which a line of the header states; so does one the number of clipped
+    pixels. Raises OSError if the file cannot be written.
     """
     values = np.asarray(pixels)
     height, width = values.shape[:2]
@@ -357,6 +380,8 @@ def write_radiance_hdr(
         lines.append(f"{PANORAMA_LINE}{heading_deg:.6g}")
     if view:
         lines.append(f"VIEW= {view}")
+    if clipped:
+        lines.append(f"{_CLIPPED_KEY} {clipped}")
     lines += ["EXPOSURE=1", f"FORMAT={_RGBE}", "", f"-Y {height} +X {width}", ""]
     if values.ndim == 2:
         values = np.repeat(values[..., None] / RADIANCE_LM_PER_W, 3, axis=-1)
@@ -390,7 +415,8 @@ def write_picture(path: Path, panorama: Panorama, view: str = "") -> None:
     """Write an .exr, or a Radiance .hdr of luminance or colour only, complete or not at all.
 
     view: Radiance's view options, for a picture that is not a panorama. A .hdr has the colour of
-    `rgb` with the luminance of `luminance_cdm2`, of which NaN counts as not seen. Raises InputError
+    `rgb` with the luminance of `luminance_cdm2`, of which NaN counts as not seen; the sun of a
+    panorama is drawn in one pixel, because no line of the header can state it. Raises InputError
     for another suffix, OSError if the file cannot be written.
     """
     suffix = path.suffix.lower()
@@ -400,15 +426,23 @@ def write_picture(path: Path, panorama: Panorama, view: str = "") -> None:
         if suffix == ".exr":
             write_panorama(temporary, panorama, view=view or "equirect")
         else:
-            light, rgb = panorama.luminance_cdm2, panorama.rgb
+            from fieldlum.sky.sun_disc import add_source
+
+            light, rgb, sun = panorama.luminance_cdm2, panorama.rgb, panorama.sun
             seen = panorama.seen & ~np.isnan(light)
+            if sun is not None and not view:
+                place = np.array([sun.altitude_deg]), np.array([sun.azimuth_deg])
+                lx = np.array([sun.normal_illuminance_lx])
+                light = add_source(light[None], place, lx, panorama.heading_deg)[0]
             if rgb is not None:
                 of_rgb = RADIANCE_LM_PER_W * (rgb @ np.asarray(RADIANCE_Y))
                 grey = np.repeat(light[..., None] / RADIANCE_LM_PER_W, 3, axis=-1)
                 factor = (light / np.where(of_rgb > 0.0, of_rgb, 1.0))[..., None]
                 light = np.where(of_rgb[..., None] > 0.0, rgb * factor, grey)
             heading = None if view else panorama.heading_deg
-            write_radiance_hdr(temporary, light, view=view, heading_deg=heading, seen=seen)
+            clipped = panorama.clipped_count
+            about = {"view": view, "heading_deg": heading, "seen": seen, "clipped": clipped}
+            write_radiance_hdr(temporary, light, **about)
 
 
 def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from fieldlum.core.records import CLIPPED_SUN, Panorama, SunSource
-from fieldlum.optics.illuminance import vertical_illuminance_lx
+from fieldlum.optics.illuminance import illuminance_ahead_lx
 from fieldlum.optics.projection import direction
 from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 
@@ -76,7 +76,7 @@ def _by_meter(panorama: Panorama, sun: SunSource, meter_lx: float | None) -> flo
 
     It is the meter's minus the picture's vertical illuminance, divided by the cosine of incidence.
     meter_lx: vertical illuminance by the meter at the lens, None without one. The angle of
-    incidence must be under 78 degrees.
+    incidence must be under 78 degrees, and what the plane faces must be in full view.
     """
     if meter_lx is None:
         return None
@@ -85,5 +85,5 @@ def _by_meter(panorama: Panorama, sun: SunSource, meter_lx: float | None) -> flo
     cosine = float(np.dot(towards, ahead))
     if cosine < _MIN_COSINE:
         return None
-    image_lx = vertical_illuminance_lx(panorama.luminance_cdm2, heading_deg, heading_deg)
-    return (meter_lx - image_lx) / cosine
+    image_lx = illuminance_ahead_lx(panorama)
+    return None if image_lx is None else (meter_lx - image_lx) / cosine

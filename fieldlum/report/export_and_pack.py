@@ -89,7 +89,8 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
             view = f"{FISHEYE_VIEW} -vp 0 0 0 -vd {forward} -vu 0 0 1"
             files.append(out / "maps" / f"{path.stem}-{azimuth_deg:g}.hdr")
             with replacing_path(files[-1]) as temporary:
-                write_radiance_hdr(temporary, picture, view=view, seen=unseen < 0.5)
+                about = {"view": view, "seen": unseen < 0.5, "clipped": panorama.clipped_count}
+                write_radiance_hdr(temporary, picture, **about)
     if not_written:
         listed_deg = listed([f"{azimuth_deg:g}" for azimuth_deg in sorted(not_written)])
         text = f"no maps to {listed_deg} degrees: the lens saw less than half of these views"

@@ -21,6 +21,7 @@ import numpy as np
 from fieldlum.core.arrays import ArrayLike, Floats, Floats32, Mask
 from fieldlum.optics.projection import NOT_SEEN, seen_words
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.sky.sun_disc import BRIGHTEST_SURFACE_CDM2
 from fieldlum.year.glare.sources import (
     SOURCE_CDM2,
     Sources,
@@ -476,11 +477,13 @@ def region_ratios(
     is 30 degrees below the line of sight. window_to_task : mean luminance of the pixels above 2000
     cd/m2 in the front hemisphere, over task_cdm2; NaN without such pixels. uniformity : harmonic
     over arithmetic mean luminance of the band within 20 degrees of the horizon: 1 if the band is
-    uniform, less with dark corners. Figures are of the seen pixels; NaN if these are less than 90 %
+    uniform, less with dark corners. More than `BRIGHTEST_SURFACE_CDM2` is the sun's disc and counts
+    as this luminance. Figures are of the seen pixels; NaN if these are less than 90 %
     of the figure's task cone or band.
     """
     half, task, band = weights
     flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
+    flat = np.minimum(flat, np.float32(BRIGHTEST_SURFACE_CDM2))  # a sun's disc in a fisheye
     bright = flat > SOURCE_CDM2
     with np.errstate(divide="ignore", invalid="ignore"):  # regions outside the picture
         mean = flat @ task / task.sum(axis=0)

@@ -10,9 +10,9 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Flag, JsonTable, Panorama, SunSource, counted, utc_text
+from fieldlum.core.records import JsonTable, Panorama, SunSource, counted, utc_text
 from fieldlum.optics import projection
-from fieldlum.optics.images import require_panorama
+from fieldlum.optics.images import clipped_text, require_panorama
 from fieldlum.optics.melanopic import melanopic_edi, melanopic_ratio
 from fieldlum.sky.sun_disc import find_disc, without_disc
 from fieldlum.year.glare import metrics, pictures
@@ -58,14 +58,19 @@ def picture_glare(
     if unknown. Keys: those of `glare_answer`; with measured_ev_lx also calibration_factor, by which
     the luminance was multiplied. Raises InputError for an unusable picture, for azimuths other than
     the own one of a picture that is no panorama, or if a picture to scale has no light in its first
-    view; with `reference` FieldlumError if evalglare prints no figures.
+    view, or not all of it; with `reference` FieldlumError if evalglare prints no figures.
     """
     picture = pictures.read_picture(path, view_options, part)
     picture = picture if lamps is None else replace(picture, lamps=lamps)
     judge = partial(glare_answer, picture, path, azimuths_deg)
     if measured_ev_lx is None:
         return judge(reference=reference)[0]
-    ev = judge()[0]["views"][0]["ev_lx"]
+    first = judge()[0]["views"][0]
+    if first["seen_share"] < projection.FULLY_SEEN_SHARE:
+        found = f"{100 * (1 - first['seen_share']):.0f} % of the first view is not in the picture"
+        remedy = "measure Ev in a direction that is, or omit --calibrate-ev"
+        raise InputError(path, found, "a view in full to scale by its Ev", remedy)
+    ev = first["ev_lx"]
     if not ev or ev <= 0.0:
         found, expected = "no light was seen in the first view direction", "light to scale"
         raise InputError(path, found, expected, "check the direction, or omit --calibrate-ev")
@@ -308,12 +313,8 @@ def _picture_texts(picture: Picture) -> Iterator[str]:
         )
     if not (panorama.luminance_cdm2 > 0).any():
         yield "the picture has no light, so glare has no meaning; check how it was written"
-    flags = 0 if panorama.flags is None else panorama.flags
-    if clipped := int(np.sum(flags & Flag.CLIPPED_HIGH > 0)):
-        yield (
-            f"clipped in every frame: {counted(clipped, 'pixel')}; the true luminance there, and "
-            "DGP, may be higher; capture shorter exposures as well, unless it is the sun's disc"
-        )
+    if clipped := panorama.clipped_count:
+        yield clipped_text(clipped)
 
 
 def _figure_texts(rows: Sequence[Mapping[str, Any]], share: float, factor: float) -> Iterator[str]:

@@ -75,8 +75,13 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
         raise InputError(path, "a picture without parts", "an .exr for --part", "omit --part")
     if stated := _PANORAMA.fullmatch(view_options):
         own = replace(read_panorama_with_sun(path, part=part), heading_deg=float(stated[1]))
-        return Picture(own, None, notes=tuple(filter(None, [own.attributes.get("note")])))
+        return Picture(own, None, notes=_notes(own))
     return _read_exr(path, view_options, part) if is_exr else _read_hdr(path, view_options)
+
+
+def _notes(panorama: Panorama) -> tuple[str, ...]:
+    """Return the note that the reader of a picture's file made, if it made one."""
+    return tuple(filter(None, [panorama.attributes.get("note")]))
 
 
 def _read_hdr(path: Path, view_options: str) -> Picture:
@@ -86,10 +91,10 @@ def _read_hdr(path: Path, view_options: str) -> Picture:
     if not view_options:
         _check_views(header, path)
         if header.heading_deg is not None:
-            return Picture(images.read_panorama(path), None)
+            return Picture(images.read_panorama(path), None, notes=_notes(picture))
     view = parse_view(text, path)
     check_proportion(view, picture.luminance_cdm2.shape, header.pixel_aspect, path)
-    notes = () if header.views or view_options else (_INHERITED,)
+    notes = _notes(picture) if header.views or view_options else (*_notes(picture), _INHERITED)
     own = replace(picture, heading_deg=view.azimuth_deg, rgb=None)
     return Picture(own, view, "-vd" in text.split(), notes)
 
@@ -117,7 +122,7 @@ def _read_exr(path: Path, view_options: str, part: str) -> Picture:
     is_panorama = stated == "equirect" and not view_options
     if is_panorama:
         picture = read_panorama_with_sun(path, part=part)
-    notes = (picture.attributes["note"],) if "note" in picture.attributes else ()
+    notes = _notes(picture)
     if is_panorama:
         # panoramas/ can be a link to another disk
         marked = marks(Session(path.absolute().parent.parent)).get(path.stem, "")

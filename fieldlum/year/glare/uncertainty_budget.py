@@ -23,7 +23,7 @@ from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 from fieldlum.sky.sky_view.pose import STATED_SD
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.year.glare import standards
-from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.metrics import brightest_cdm2, glare_directions
 from fieldlum.year.glare.picture_glare import take_out_sun, valid_pixels
 from fieldlum.year.glare.pictures import Picture, read_picture
 from fieldlum.year.glare.sources import panorama_views
@@ -172,7 +172,7 @@ def picture_budget(
         raise InputError(path, found, expected, "omit --budget")
     light, sun = take_out_sun(light, panorama.heading_deg, panorama.sun)
     scene = _Scene(picture, light, sun, azimuths)
-    rows = [*_of_pixels(scene), *_of_sun_and_views(scene, u_heading_deg)]
+    rows = [*_of_pixels(scene), *_of_sun_and_views(scene, u_heading_deg), *_of_unseen(scene)]
     return _budgets(scene.figures(), azimuths, rows)
 
 
@@ -395,3 +395,16 @@ def _of_sun_and_views(scene: _Scene, u_heading_deg: float) -> Iterator[Contribut
         yield source, {"melanopic EDI": edi * u_rel}
         change = {"melanopic EDI": of_sun["melanopic EDI"] * U_SUN_RATIO}
         yield of_share("colour of the sun's disc", "B", U_SUN_RATIO, "disc"), change
+
+
+def _of_unseen(scene: _Scene) -> Iterator[Contribution]:
+    """Yield what no lens saw as a source: black, or one luminance up to the brightest 1 % seen."""
+    panorama = scene.picture.panorama
+    unseen, (height, width) = ~panorama.seen, panorama.seen.shape
+    if not unseen.any():
+        return
+    grid = panorama_views(height, width, panorama.heading_deg, scene.azimuths_deg, panorama.seen)
+    most_cdm2 = max(float(brightest_cdm2(scene.luminance_cdm2[None], grid)[0]), 1.0)
+    levels = [0.0, *most_cdm2 ** np.linspace(0.0, 1.0, 4)]
+    tried = [scene.figures(level * unseen) for level in levels]
+    yield UNSEEN, {n: np.ptp([t[n] for t in tried], axis=0) / np.sqrt(12.0) for n in tried[0]}
