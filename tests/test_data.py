@@ -6,8 +6,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import OpenEXR
 import pytest
-from learning_room import dataset, write_pairs
+from learning_room import SITE_TOML, dataset, write_pairs
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Flag, Panorama
@@ -376,3 +377,25 @@ def test_a_disc_that_the_csv_does_not_state_is_named(tmp_path: Path, glass: floa
     for made, stated, warns in ((shown, False, True), (shown, True, False), (data, False, False)):
         notes = load_pairs(write_pairs(tmp_path, made, sun_in_map=stated)).notes
         assert any(found in note for note in notes) is warns, notes
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("suffix", [".exr", ".hdr"])
+def test_a_picture_without_a_heading_has_that_of_the_site(pairs: Path, suffix: str) -> None:
+    """Otherwise a csv of another program's .exr was learnt as facing south: a year turned round."""
+    lines = [line.split(",") for line in pairs.read_text().splitlines()]
+    at = lines[0].index("sunpatch")
+    rows = [",".join(cells[:at] + cells[at + 1 :]).replace(".exr", suffix) for cells in lines]
+    pairs.write_text("\n".join(rows))
+    site = pairs.parent / "site.toml"
+    site.write_text(SITE_TOML + "[camera]\nheading_deg = 0\n")
+    for view, heading_deg in ((None, 0.0), ("equirect heading_deg=90", 90.0)):
+        for k in range(len(DATA)):
+            path, light = pairs.parent / f"m{k}{suffix}", DATA.luminance_cdm2[k]
+            if suffix == ".hdr":
+                write_radiance_hdr(path, light, heading_deg=heading_deg if view else None)
+                continue
+            header = {"type": OpenEXR.scanlineimage, **({"view": view} if view else {})}
+            channels = dict.fromkeys("RGB", np.ascontiguousarray(light, np.float32))
+            OpenEXR.File(header, channels).write(str(path))
+        assert load_pairs(pairs).heading_deg == heading_deg

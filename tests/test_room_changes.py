@@ -237,6 +237,23 @@ def test_another_level_after_the_first_season_is_told(factor: float) -> None:
 
 
 @pytest.mark.contract
+def test_marked_days_are_no_change_of_the_level() -> None:
+    """Two days through a blind after overcast ones were "pictures are 71 times as bright"."""
+    clear = CLEAN.light
+    dni = clear.dni_wm2 * (np.arange(len(clear)) % 3 == 0)
+    maps, patch = room(light := light_at(clear.t_utc, SEATTLE, dni, clear.dhi_wm2))
+    days = np.unique(CLEAN.days)
+    blind = np.isin(CLEAN.days, days[5:])
+    maps *= np.where(blind, 0.15, 1.0)[:, None, None].astype(np.float32)
+    states = tuple("blind=half" if some else "" for some in blind)
+    data = replace(
+        CLEAN, luminance_cdm2=maps, patch_cdm2=patch, light=replace(light, states=states)
+    )
+    _, notes = without_changes(data, with_patch=True)
+    assert not any("times as bright" in note for note in notes)
+
+
+@pytest.mark.contract
 def test_without_patches_and_overcast_hours_nothing_is_searched() -> None:
     sunny = CLEAN.take(CLEAN.light.direct_lx > 20_000.0)
     assert len(np.unique(sunny.days)) >= 4

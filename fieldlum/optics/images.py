@@ -50,6 +50,7 @@ RADIANCE_Y = (0.265, 0.670, 0.065)
 # Its primaries, red, green, blue and white, as CIE xy (src/common/color.h).
 RADIANCE_CHROMATICITIES = (0.640, 0.330, 0.290, 0.600, 0.150, 0.060, 1.0 / 3.0, 1.0 / 3.0)
 PANORAMA_LINE = "FIELDLUM_VIEW= equirect heading_deg="
+PANORAMA_VIEW = re.compile(r"\s*(?:FIELDLUM_VIEW=)?\s*equirect\s+heading_deg=(-?\d+(?:\.\d+)?)\s*")
 # Header line of a Radiance picture in which pixels of 0 are those that no lens saw; others have at
 # least this luminance, a millionth of that of a night sky.
 _UNSEEN_LINE, _DARKEST_CDM2 = "FIELDLUM_UNSEEN= 0", 1e-9
@@ -552,8 +553,8 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
             if str(key).startswith("fieldlum:")
         }
         # OpenEXR itself names the view of a stereo picture in this attribute, such as "left".
-        view = str(header.get("view", ""))
-        heading = float(header.get("heading_deg", 180.0))
+        view, heading = str(header.get("view", "")), _stated_heading(header)
+        heading = 180.0 if heading is None else heading
         t_utc = parse_utc(header["t_utc"]) if header.get("t_utc") else None
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
         more = (flags, t_utc, sun, rgb, attributes)
@@ -564,8 +565,33 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
             raise ValueError("an attribute with a number that is not finite")
     if note := "; ".join(filter(None, (unit_note, layer_note))):
         attributes["note"] = note
+    view = "equirect" if PANORAMA_VIEW.fullmatch(view) else view
     has_view = view.startswith(("equirect", "-v", "VIEW=", "rvu "))
     return panorama, view if has_view else ""
+
+
+def _stated_heading(header: Mapping[str, Any]) -> float | None:
+    """Return the heading [deg] in the attributes of an .exr, also in those of another program.
+
+    It is `heading_deg`, else that in the text of `view`; None without both. Raises ValueError or
+    TypeError for a damaged one.
+    """
+    if "heading_deg" in header:
+        return float(header["heading_deg"])
+    stated = PANORAMA_VIEW.fullmatch(str(header.get("view", "")))
+    return float(stated[1]) if stated else None
+
+
+def stated_heading_deg(path: Path) -> float | None:
+    """Return the heading that a panorama's .exr or .hdr states, None if it states none.
+
+    It is the azimuth of the centre column, clockwise from north. Raises InputError or OSError for a
+    file that cannot be read.
+    """
+    if path.suffix.lower() == ".exr":
+        return _stated_heading(exr_headers(path)[0])
+    with open_to_read(path) as file:
+        return _read_header(file, path).heading_deg
 
 
 class _OwnOutput(io.StringIO):

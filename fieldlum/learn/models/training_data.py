@@ -11,13 +11,12 @@ import numpy as np
 
 from fieldlum.core.arrays import Array, Dates, Floats, Floats16, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
-from fieldlum.core.files import open_to_read
 from fieldlum.core.progress import progress
 from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SiteFile, counted, slot_id
 from fieldlum.core.room_states import USAGE, cover_state, merged_state
 from fieldlum.learn.models.camera_turns import align, camera_turns, shown_place, turn_notes
 from fieldlum.learn.models.held_out_choice import weight_of_variance
-from fieldlum.optics.images import PANORAMA_LINE, read_panorama
+from fieldlum.optics.images import read_panorama, stated_heading_deg
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.pair.camera_sky_view import is_outdated
 from fieldlum.room.scene.sun_patches import sun_patches
@@ -542,15 +541,13 @@ def read_pictures(
 
 
 def _heading_deg(panorama: Panorama, path: Path, setup: SiteFile) -> float:
-    """Return the heading that the picture states (.exr, .hdr with a heading line), else the site's.
+    """Return the heading that the picture's file states, else the site's.
 
     path: of the picture; its heading is the azimuth of the centre column.
     """
-    if path.suffix.lower() == ".exr":
-        return panorama.heading_deg
-    with open_to_read(path) as file:
-        stated = PANORAMA_LINE.encode() in file.read(4096).partition(b"\n\n")[0]
-    return panorama.heading_deg if stated else setup.camera.heading_deg
+    if stated_heading_deg(path) is None:
+        return setup.camera.heading_deg
+    return panorama.heading_deg
 
 
 def _checked(

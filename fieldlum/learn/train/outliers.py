@@ -373,10 +373,14 @@ def step_warnings(data: Dataset) -> list[str]:
     """Return a warning if pictures are brighter or darker from a day on, in the same light outside.
 
     The list is empty without such a day. At least two days are before and after it. Hours with
-    hardly any sun are compared, which need no sun patches. A factor of 1.08 is found in the demo;
-    under skies that differ much from Perez's, a factor of 1.12 is not found.
+    hardly any sun, which need no sun patches, and without a marked state are compared. A factor of
+    1.08 is found in the demo; under skies that differ much from Perez's, a factor of 1.12 is not.
     """
-    process = process_of(data.take(evenly_spread(len(data), 250)), with_patch=False)
+    marked = np.array([bool(state) for state in data.light.states or [""] * len(data)])
+    usual = np.flatnonzero(~marked)
+    if not len(usual):
+        return []
+    process = process_of(data.take(usual[evenly_spread(len(usual), 250)]), with_patch=False)
     rows = np.flatnonzero(process.judged)
     starts = np.unique(process.days[rows])[2:-1]
     if not len(starts):

@@ -207,6 +207,8 @@ def estimate(
         decided = _decided(stack, turned)
     decided = _over_seasons(decided, stack)
     view = _corrected_by_discs(decided, captured.take(rest.tolist()), covered_utc)
+    if usual is not None:  # a marked blind or tint is darker than glass
+        return view
     return replace(view, notes=(*_notes_on_level(decided.reference.brightest, stack), *view.notes))
 
 

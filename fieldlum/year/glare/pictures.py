@@ -37,7 +37,6 @@ from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
 from fieldlum.year.glare.sources import Views, angles_from_view
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
-_PANORAMA = re.compile(r"\s*(?:FIELDLUM_VIEW=)?\s*equirect\s+heading_deg=(-?\d+(?:\.\d+)?)\s*")
 _INHERITED = "the VIEW is that of an input picture: it is wrong if that picture was cropped"
 
 
@@ -73,7 +72,7 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
         is_exr = file.read(4) == _EXR_MAGIC or path.suffix.lower() == ".exr"
     if part and not is_exr:
         raise InputError(path, "a picture without parts", "an .exr for --part", "omit --part")
-    if stated := _PANORAMA.fullmatch(view_options):
+    if stated := images.PANORAMA_VIEW.fullmatch(view_options):
         own = replace(read_panorama_with_sun(path, part=part), heading_deg=float(stated[1]))
         return Picture(own, None, notes=_notes(own))
     return _read_exr(path, view_options, part) if is_exr else _read_hdr(path, view_options)
