@@ -264,6 +264,7 @@ def test_pixels_that_no_lens_saw_stay_unseen_and_pvalue_reads_the_others(tmp_pat
     assert read_radiance_hdr(path)[0].flags is None, "black is black where all was seen"
 
 
+@pytest.mark.contract
 def test_a_hdr_keeps_the_sun_and_the_number_of_clipped_pixels(tmp_path: Path) -> None:
     """The sun is drawn, because no header line can state it; DGP was 0.2 in place of 1.0."""
     flags = np.zeros((60, 120), np.uint16)

@@ -344,11 +344,16 @@ def test_pairs_of_earlier_irradiance_or_marks_are_to_do_again(tmp_path: Path) ->
     assert state() == (1, 1, 1) and PairsFile.read(session.pairs).outdated == {slots[1]}
     pair.run(session)
     assert state() == (2, 2, 0)
+    session.sidecar(slots[0]).write_text("{}")  # merged again, with another calibration
+    assert PairsFile.read(session.pairs).outdated == {slots[0]}
+    session.sidecar(slots[0]).unlink()
     file = tmp_path / "dni.csv"
     times = [NOON + timedelta(seconds=5 * k) for k in range(5)]
     file.write_text("t_utc,dni_wm2\n" + "".join(f"{utc_text(t)},700\n" for t in times))
     done = CliRunner().invoke(main, ["import", str(session.root), "--irradiance", str(file)])
-    told = "WARNING: 1 pair: irradiance or mark changed after pair: run fieldlum pair again"
+    told = (
+        "WARNING: 1 pair: picture, irradiance or mark changed after pair: run fieldlum pair again"
+    )
     assert done.exit_code == 0 and told in done.stderr, done.output
     assert state() == (1, 1, 1) and stage_status(session)["next_step"].startswith("fieldlum pair")
     assert told in load_pairs(session).notes

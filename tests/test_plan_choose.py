@@ -336,3 +336,11 @@ def test_command_best_and_replan(tmp_path: Path, weather: Weather) -> None:
     assert (out / "plan.ics").exists() and (out / "plan.html").exists()
     past = call(site, "--set", "month", "--start", start, "--days", "1", "--out", tmp_path / "p")
     assert call(tmp_path / "p", "--replan")["missed"] == past["slots"]
+    day = f"{datetime.fromisoformat(start) + timedelta(days=9):%Y-%m-%d}"
+    before = open_session(tmp_path / "p").slots()
+    added = call(tmp_path / "p", "--add", day)["added"]
+    after = {slot.id: slot for slot in open_session(tmp_path / "p").slots()}
+    assert added and {*after} == {*added} | {slot.id for slot in before}
+    assert all(after[slot].exposures == before[0].exposures for slot in added)
+    again = CliRunner().invoke(main, ["plan", str(tmp_path / "p"), "--add", day])
+    assert again.exit_code == 3 and "without an hour that the plan lacks" in again.stderr

@@ -495,7 +495,9 @@ def test_a_model_of_pairs_with_other_irradiance_now_asks_to_pair_again(
     path = tmp_path / "w.csv"
     path.write_text("month,day,hour,dni_wm2,dhi_wm2\n6,21,12.5,500,100\n6,21,13.5,400,120\n")
     words = ["predict", str(tmp_path / "models" / "auto"), "--weather", str(path), "--views", "1"]
-    told = "WARNING: 1 pair: irradiance or mark changed after pair: run fieldlum pair again"
+    told = (
+        "WARNING: 1 pair: picture, irradiance or mark changed after pair: run fieldlum pair again"
+    )
     row = PairRow(datetime(2027, 6, 21, 20, tzinfo=UTC), "panoramas/a.exr", 1.0, 2.0)
     for inputs in ("", "0123456789ab", "0123456789ab"):  # the last one has nothing to do
         PairsFile(tmp_path / "pairs.csv", (replace(row, inputs=inputs),)).write()

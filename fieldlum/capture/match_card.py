@@ -302,7 +302,9 @@ def match_groups(
         when = f"({utc_text(t_utc)})"
         slot = min(slots, key=lambda s: abs((s.t_utc - t_utc).total_seconds()), default=None)
         if slot is None or abs((t_utc - slot.t_utc).total_seconds()) > MAX_DELAY_S:
-            others.append((group, f"no slot within {MAX_DELAY_S / 60:.0f} min {when}"))
+            remedy = "if the time is right, add its day: fieldlum plan SESSION --add DATE"
+            text = f"no slot within {MAX_DELAY_S / 60:.0f} min {when}; {remedy}"
+            others.append((group, text))
             continue
         if count_planned(group, slot) < min(2, len(slot.exposures)):
             others.append((group, f"at most one of its exposures is in the plan {when}"))
@@ -367,7 +369,12 @@ def clock_offset(
     span = f"the brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M}"
     found = f"{span} by the camera's clock match no slot of the plan"
     expected = f"brackets near slots; that nearest to the first bracket is {str(nearest)[:16]} UTC"
-    remedy = "check that this is the right card; correct a wrong date, for example by one day: "
+    remedy = (
+        "check that this is the right card; if its dates are right, add these days to the plan: "
+    )
+    remedy += (
+        f"fieldlum plan SESSION --add {first:%Y-%m-%d}; correct a date that is wrong by a day: "
+    )
     remedy += 'exiftool -AllDates+="0:0:1 0:0:0" FOLDER'
     raise InputError("the card", found, expected, remedy)
 

@@ -23,12 +23,13 @@ def command(
     label_shift_min: float = 0.0,
     out: Path | None = None,
     replan: bool = False,
+    add: Annotated[tuple[datetime, ...], calendar_day] = (),
     as_json: bool = False,
 ) -> None:
     """Choose the hours to capture and write the session.
 
     Writes plan.csv, a calendar (plan.ics) and one printable sheet per day (plan.html). With a
-    session, --replan adds make-up slots for missed hours.
+    session, --replan adds make-up slots for missed hours, and --add days of one's own.
 
     \b
     Example:
@@ -44,8 +45,11 @@ def command(
       --weather: Weather year (EPW, TMY3 or CSV), for skies and coverage.
       --out: The session folder to write.
       --replan: Add make-up slots for the missed ones.
+      --add YYYY-MM-DD: Add the daylight hours of a local date to a session, also of one on which
+          brackets were captured without a plan.
     """
     from fieldlum import plan
+    from fieldlum.core.records import counted
     from fieldlum.plan import makeup
     from fieldlum.session import open_session
     from fieldlum.session.site_toml import load_site
@@ -56,15 +60,16 @@ def command(
     example = "for example: fieldlum plan SITE.toml --set 9-day --out my-session"
     # texts of the errors of usage, each with the condition under which it is printed
     wrong = {
-        "--replan works on a session, with its dates: omit --set, --out, --start, --year, --days "
-        "and --count": replan and (set_ or any(dates)),
-        f"{target} is a folder: a new plan needs a SITE.toml; a session takes --replan": (
-            target.is_dir() and not replan
+        "--replan and --add work on a session, with its dates: omit --set, --out, --start, "
+        "--year, --days and --count": (replan or add) and (set_ or any(dates)),
+        "--replan and --add exclude each other: use one after the other": replan and add,
+        f"{target} is a folder: a new plan needs a SITE.toml; a session takes --replan or --add": (
+            target.is_dir() and not (replan or add)
         ),
         "--label-shift needs a weather file: name one with --weather": (
             label_shift_min and not weather_file
         ),
-        f"name --set and --out, {example}": not replan and not (set_ and out),
+        f"name --set and --out, {example}": not (replan or add or (set_ and out)),
         "--start: expected a year from 1950 to 2100": day and not 1950 <= day.year <= 2100,
         "--start and --year exclude each other: use one of them": day and year,
         "--count needs --set even": count and set_ != "even",
@@ -72,7 +77,7 @@ def command(
     }
     if text := next((text for text, is_wrong in wrong.items() if is_wrong), ""):
         raise click.UsageError(text)
-    setup = open_session(target).site_file() if replan else load_site(target)
+    setup = open_session(target).site_file() if replan or add else load_site(target)
     site, now, weather = setup.site, datetime.now(UTC), None
     if weather_file:
         weather = read_weather(weather_file, site, label_shift_min=label_shift_min)
@@ -81,6 +86,10 @@ def command(
         session = open_session(target)
         answer = makeup.run(session, now)
         sentences = makeup.sentences(answer, site.timezone)
+    elif add:
+        session = open_session(target)
+        answer = makeup.add_days(session, [day.date() for day in add])
+        sentences = [f"{counted(len(answer['added']), 'slot')} added to the plan"]
     else:
         assert out is not None and set_ is not None
         today = plan.today_at(site, now)

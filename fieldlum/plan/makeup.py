@@ -1,15 +1,17 @@
-"""Plan make-up slots: repeat a missed hour on a later day with the same path of the sun."""
+"""Add slots to a plan: make-ups on a later day with the same path of the sun, and chosen days."""
 
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 
+from fieldlum.core.errors import InputError
 from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, Site, SiteFile, Slot, listed, parse_utc, slot_id
-from fieldlum.plan.capture_days import hours_of, span, sun_band_percent
+from fieldlum.plan import make_slots
+from fieldlum.plan.capture_days import daylight_hours, hours_of, span, sun_band_percent
 from fieldlum.session import Session, sha256, update_session, write_file, write_plan
 from fieldlum.session.folder import PlanTable
 from fieldlum.session.plan_file import read_plan
@@ -113,11 +115,7 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
     missed = [s for s in past if not any(m.id in captured for m in makeups.get(s.id, ()))]
     due = [s for s in missed if all(m.t_utc + grace < now_utc for m in makeups.get(s.id, ()))]
     added, pairs, lost = make_up(due, slots, setup, now_utc)
-    if added:
-        write_file(_older_plan(session, about), read_bytes(session.plan))
-        ordered = sorted([*slots, *added], key=lambda slot: slot.t_utc)
-        write_plan(session.plan, ordered, setup.site.timezone)
-        about = _record_plan(session, about)
+    about = _with_more(session, about, added)
     remaining = [slot for slot in slots if slot.id in captured or slot.t_utc + grace >= now_utc]
     versions = {"planned": slots, "without": remaining, "with": [*remaining, *added]}
     bands = {name: sun_band_percent(hours_of(some), setup.site) for name, some in versions.items()}
@@ -130,6 +128,39 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
         "sun_band_percent": {name: round(band, 1) for name, band in bands.items()},
         "revision": about.get("revision", 0),
     }
+
+
+def add_days(session: Session, days: Sequence[date]) -> JsonTable:
+    """Add the daylight hours of some days to plan.csv, with the exposures of its first slot.
+
+    The days can be past, for brackets that were captured without a plan; hours that have a slot are
+    not added. The earlier plan is stored as `run` does. Returns the keys of `--json`: added, ids of
+    the slots, and revision. Raises InputError for a damaged plan.csv or session.toml, and if no
+    slot is added.
+    """
+    about = _complete_interrupted_replan(session)
+    setup, slots = session.site_file(), session.slots()
+    known = {slot.id for slot in slots}
+    made = make_slots(daylight_hours(days, setup.site), setup, slots[0].exposures)
+    added = [slot for slot in made if slot.id not in known]
+    if not added:
+        found = f"{listed([str(day) for day in days], 4)} without an hour that the plan lacks"
+        raise InputError(session.plan, found, "days with further daylight hours", "choose others")
+    about = _with_more(session, about, added)
+    return {"added": [slot.id for slot in added], "revision": about.get("revision", 0)}
+
+
+def _with_more(session: Session, about: PlanTable, added: Sequence[Slot]) -> PlanTable:
+    """Add slots, if any, to plan.csv and store the earlier plan; return the new table [plan].
+
+    about: the table [plan] of session.toml, which is written too.
+    """
+    if not added:
+        return about
+    ordered = sorted([*session.slots(), *added], key=lambda slot: slot.t_utc)
+    write_file(_older_plan(session, about), read_bytes(session.plan))
+    write_plan(session.plan, ordered, session.site_file().site.timezone)
+    return _record_plan(session, about)
 
 
 def _older_plan(session: Session, about: PlanTable) -> Path:

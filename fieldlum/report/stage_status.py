@@ -22,7 +22,7 @@ def stage_status(session: Session) -> JsonTable:
     next: id of a slot or None; device_lost, clock_steps, suspends: numbers of events;
     damaged_lines: line numbers in the journal. irradiance: numbers of days and rows, last (date or
     None), cleaned (whether clean.csv exists). merge, pair: numbers of panoramas done and owed; pair
-    also: of usable rows; pairs whose irradiance or mark changed since are owed, and so are
+    also: of usable rows; pairs of which `PairsFile.outdated` are owed, and so are
     panoramas of another camera profile. train: models, the names, and outdated, those of other
     pairs than the present ones. predict: years, the names, and outdated, those of a model that is
     outdated or was trained again. report: done (bool), outdated (bool): older than a year.

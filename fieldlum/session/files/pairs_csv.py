@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.files import read_bytes
+from fieldlum.core.files import read_bytes, sha256
 from fieldlum.core.records import counted, parse_utc, utc_text
 from fieldlum.core.strict_csv import IRRADIANCE_LIMITS_WM2, read_table
 from fieldlum.session.codec import (
@@ -95,7 +95,7 @@ class PairsFile:
 
     @property
     def outdated(self) -> frozenset[str]:
-        """Slots whose logged irradiance or mark changed since `pair` wrote the file.
+        """Slots whose panorama, logged irradiance or mark changed since `pair` wrote the file.
 
         Rows without `inputs` do not count. Raises OSError if a file of the session cannot be read.
         """
@@ -112,7 +112,7 @@ class PairsFile:
         """A warning if a row is `outdated`; else the list is empty."""
         if not (count := len(self.outdated)):
             return []
-        what = "irradiance or mark changed after pair"
+        what = "picture, irradiance or mark changed after pair"
         return [f"WARNING: {counted(count, 'pair')}: {what}: run fieldlum pair again"]
 
     @classmethod
@@ -227,12 +227,12 @@ _NEAR_MINUTES = 35
 def light_digests(
     session: Session, times: Mapping[str, datetime], earlier: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """Return a text for each slot id: what the session now has of the slot's light.
+    """Return a text for each slot id: what the session now has of the slot's picture and light.
 
-    It is the digest of the slot's mark and of the lines that were logged within 35 minutes of its
-    time, but before the last such minute, and that minute. times: by slot id; earlier: results of
-    an earlier call, whose last minutes are used, so that lines which a running log added since do
-    not count. Raises OSError if a file cannot be read.
+    It is the digest of its panorama, its mark and the lines that were logged within 35 minutes of
+    its time, but before the last such minute, and that minute. times: by slot id; earlier: results
+    of an earlier call, whose last minutes are used, so that lines which a running log added since
+    do not count. Raises OSError if a file cannot be read.
     """
     span, marked = range(-_NEAR_MINUTES, _NEAR_MINUTES + 1), marks(session)
     near = {
@@ -252,5 +252,7 @@ def light_digests(
         until = (earlier or {}).get(slot, "").partition(" ")[2]
         until = until or max((m.decode() for m in minutes if m in texts), default="")
         used = [texts[m] for m in minutes if m in texts and m.decode() < until]
-        digests[slot] = f"{data_digest(marked.get(slot), used)[:12]} {until}"
+        sidecar = session.sidecar(slot)  # has the digest of the panorama
+        merged = sha256(sidecar) if sidecar.is_file() else ""
+        digests[slot] = f"{data_digest(marked.get(slot), used, merged)[:12]} {until}"
     return digests
