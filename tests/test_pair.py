@@ -19,7 +19,7 @@ from places import SEATTLE
 from fieldlum import pair
 from fieldlum.capture.import_logger import add_samples, remove_rows
 from fieldlum.cli import main
-from fieldlum.core.errors import ChangedFileWarning, InputError, NotEnoughDataError
+from fieldlum.core.errors import Caution, ChangedFileWarning, InputError, NotEnoughDataError
 from fieldlum.core.records import (
     CLIPPED_SUN,
     CameraSetup,
@@ -53,7 +53,7 @@ from fieldlum.session.files.pairs_csv import (
     light_digests,
     write_simulated_pairs,
 )
-from fieldlum.session.files.sidecar import warn_if_picture_changed
+from fieldlum.session.files.sidecar import Sidecar, warn_if_picture_changed
 from fieldlum.session.panorama_sun import SunRow, read_panorama_with_sun
 from fieldlum.sky import sun
 from fieldlum.sky.sky_view.view import SkyView
@@ -592,3 +592,15 @@ def test_pairing_recovers_the_simulated_light_within_the_instruments_noise(tmp_p
     assert abs(light.ghi_wm2 - truth.ghi_wm2) < 4 * noise
     assert abs(light.dhi_wm2 - truth.dhi_wm2) < 4 * noise
     assert abs(light.dni_wm2 - truth.dni_wm2) < 4 * noise * np.sqrt(2) / sine
+
+
+@pytest.mark.contract
+def test_panoramas_of_another_profile_are_named(tmp_path: Path) -> None:
+    """As after a new calibration, or where merge was ended between two panoramas."""
+    session = make_session(tmp_path / "s", None)
+    slot = session.slots()[0].id
+    Sidecar(slot, profile={"name": "early", "sha256": "0" * 64}).write(session.sidecar(slot))
+    told = "1 panorama of another camera profile than the present one: run fieldlum merge and pair"
+    with pytest.warns(Caution, match=told):
+        pair.run(session)
+    assert any(told in note for note in load_pairs(session).notes)

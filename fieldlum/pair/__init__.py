@@ -22,7 +22,7 @@ from fieldlum.core.errors import (
     NotEnoughDataError,
     input_errors,
 )
-from fieldlum.core.records import Flag, Panorama, Site, SiteFile, counted, parse_utc, utc_text
+from fieldlum.core.records import Flag, Panorama, Site, SiteFile, parse_utc, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
@@ -36,7 +36,7 @@ from fieldlum.session.codec import current_note, digest, write_object
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile, light_digests
-from fieldlum.session.files.sidecar import Sidecar, of_other_profile, warn_if_picture_changed
+from fieldlum.session.files.sidecar import Sidecar, warn_if_picture_changed
 from fieldlum.session.panorama_sun import SunRow, write_suns
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
@@ -228,11 +228,10 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
         rows[k] = row
     inputs = light_digests(session, {b.slot: b.t_utc for b in brackets})
     rows = [replace(row, inputs=inputs[b.slot]) for b, row in zip(brackets, rows, strict=True)]
-    PairsFile(session.pairs, tuple(rows)).write()
-    if others := of_other_profile(session):
-        found = f"{len(others)} of {counted(len(brackets), 'panorama')} merged with another profile"
-        text = f"{session.root}: {found} of the camera than the present one: run fieldlum merge"
-        warnings.warn(f"{text}, then pair again", Caution, stacklevel=2)
+    pairs = PairsFile(session.pairs, tuple(rows))
+    pairs.write()
+    for text in pairs.pair_again:
+        warnings.warn(text.removeprefix("WARNING: "), Caution, stacklevel=2)
     return rows
 
 

@@ -24,6 +24,7 @@ from fieldlum.session.codec import (
     write_csv,
 )
 from fieldlum.session.day_files import day_files
+from fieldlum.session.files.sidecar import of_other_profile
 from fieldlum.session.folder import Session
 from fieldlum.session.journal import marks
 from fieldlum.session.safe_paths import refuse_link, refuse_outside
@@ -109,11 +110,15 @@ class PairsFile:
 
     @property
     def pair_again(self) -> list[str]:
-        """A warning if a row is `outdated`; else the list is empty."""
-        if not (count := len(self.outdated)):
-            return []
-        what = "picture, irradiance or mark changed after pair"
-        return [f"WARNING: {counted(count, 'pair')}: {what}: run fieldlum pair again"]
+        """Warnings if a row is `outdated`, and of panoramas of another camera profile."""
+        texts, others = [], of_other_profile(Session(self.path.parent)) if self.rows else []
+        if others:
+            found = f"WARNING: {counted(len(others), 'panorama')} of another camera profile"
+            texts.append(f"{found} than the present one: run fieldlum merge and pair again")
+        if count := len(self.outdated):
+            what = "picture, irradiance or mark changed after pair"
+            texts.append(f"WARNING: {counted(count, 'pair')}: {what}: run fieldlum pair again")
+        return texts
 
     @classmethod
     def read(cls, path: Path) -> PairsFile:
