@@ -333,10 +333,26 @@ def test_the_headline_advises_only_what_the_captures_and_the_weather_support(
     headlines = []
     for each in (stated, unstated):
         summary = PredictFile(weather=YearWeather("w", synthetic), protection=(each,))
-        year = predict.Annual((), np.zeros(1), {}, {}, Path("x"), summary)
-        headlines.append(annual_page.best_direction(year)[0])
+        headlines.append(annual_page.best_direction(_one_hour(summary))[0])
     assert headlines[0].startswith(lead), headlines
     assert "Sit" not in headlines[1] and "cannot state a confidence" in headlines[1]
+
+
+def _one_hour(summary: PredictFile, low: float = 0.42) -> predict.Annual:
+    """A year of one occupied hour with a DGP of 0.42, and the lower end of its interval."""
+    values = {"dgp": 0.42, "dgp_low": low, "dgp_high": 0.42, "u_dgp": 0.0, "ev_lx": 4000.0}
+    views = {name: np.full((1, 1), value) for name, value in values.items()}
+    hours: dict[str, Floats] = {"occupied": np.ones(1), "trusted": np.ones(1)}
+    return predict.Annual((), np.zeros(1), hours, views, Path("x"), summary)
+
+
+@pytest.mark.analytic
+def test_the_number_of_glare_hours_has_its_interval() -> None:
+    """A count was off by a factor of two to three, without a word on how certain it is."""
+    row = DirectionYear(0.0, "high", True, dgp_exceeded=0.3, hours_over={"0.40": 1})
+    summary = PredictFile(occupancy=YearOccupancy(hours=1), protection=(row,))
+    for low, text in ((0.42, "comes in 1 of 1"), (0.38, "comes in 1 (0 to 1) of 1")):
+        assert text in annual_page.best_direction(_one_hour(summary, low))[1]
 
 
 @pytest.mark.analytic
@@ -346,10 +362,8 @@ def test_the_headline_advises_only_what_the_captures_and_the_weather_support(
 def test_hours_of_several_years_are_not_those_of_the_year(days: int, period: str) -> None:
     row = DirectionYear(0.0, "high", True, dgp_exceeded=0.3, hours_over={"0.40": 9})
     summary = PredictFile(days=days, occupancy=YearOccupancy(hours=7300), protection=(row,))
-    year = predict.Annual((), np.zeros(1), {}, {}, Path("x"), summary)
-    assert (
-        f"comes in 9 of 7300 occupied hours of {period}; f" in annual_page.best_direction(year)[1]
-    )
+    text = annual_page.best_direction(_one_hour(summary))[1]
+    assert f"comes in 9 of 7300 occupied hours of {period}; f" in text
 
 
 @pytest.mark.analytic

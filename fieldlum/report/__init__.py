@@ -66,11 +66,12 @@ def _facts(
             facts["captures used"] = f"{len(slots)}"
     if year is not None:
         summary, occupancy = year.summary, year.summary.occupancy
-        unsure = occupancy.unsure_share
-        unsure = occupancy.untrusted_share if unsure is None else unsure
         facts["hours predicted"] = f"{summary.hours}"
         facts["weather"] = summary.weather.name
-        facts["occupied hours the model is sure of"] = f"{100 * (1 - unsure):.0f} %"
+        facts["occupied hours with trusted maps"] = f"{100 * (1 - occupancy.untrusted_share):.0f} %"
+        if occupancy.unsure_share is not None:
+            known = f"{100 * (1 - occupancy.unsure_share):.0f} %"
+            facts["occupied hours with DGP known to 0.2"] = known
         facts["sun's disc by"] = summary.disc_from
     return list(facts.items())
 

@@ -25,7 +25,7 @@ from fieldlum.session.panorama_sun import SUN_FROM, read_suns
 from fieldlum.sky import sun
 from fieldlum.sky.sun_disc import add_source
 from fieldlum.year.glare.pictures import panorama_to_fisheye, picture_centres
-from fieldlum.year.glare.standards import EXCEEDED_SHARE, dgp_per_scale
+from fieldlum.year.glare.standards import CLASSES, EXCEEDED_SHARE, dgp_per_scale
 from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE, read_budgets
 from fieldlum.year.predict import Annual, melanopic
 from fieldlum.year.predict.annual import Pictures
@@ -52,6 +52,7 @@ def best_direction(annual: Annual) -> tuple[str, str]:
     hidden = [direction_name(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
     unseen = f"No result for views to {', '.join(hidden)}: the camera saw less than half of them. "
     advice = f"facing {direction_name(best.azimuth_deg)}: {_class_words(best)}."
+    glare = _hours_texts(annual, GA_DGP)
     is_open = best.low is None or best.seen == PARTLY_SEEN
     doubtful = best.glare_class == "none" or (is_open and not best.certain)
     # 0 days: unknown, in a year of 0.1.0; other limits as for `are_full_years`
@@ -62,8 +63,8 @@ def best_direction(annual: Annual) -> tuple[str, str]:
     return (
         f"{lead} {advice}",
         f"Facing {direction_name(worst.azimuth_deg)}, disturbing glare (DGP above 0.40) comes in "
-        f"{worst.hours_over['0.40']} of {annual.summary.occupancy.hours} occupied hours of "
-        f"{period}; facing {direction_name(best.azimuth_deg)} in {best.hours_over['0.40']}. "
+        f"{glare[rows.index(worst)]} of {annual.summary.occupancy.hours} occupied hours of "
+        f"{period}; facing {direction_name(best.azimuth_deg)} in {glare[rows.index(best)]}. "
         f"{unseen if hidden else ''}A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 "
         "(medium) or 0.45 (minimum) in at most 5 % of the occupied hours. All of it holds for the "
         "camera's place: half a metre away, the window's edges are elsewhere.",
@@ -145,6 +146,20 @@ def _hours_over(annual: Annual, limit: float) -> list[Share]:
     return [Share(*of_direction) for of_direction in shares.T.tolist()]
 
 
+def _hours_texts(annual: Annual, limit: float) -> list[str]:
+    """Return the occupied hours whose DGP exceeds a limit of EN 17037, for each direction.
+
+    Each is a number with its 95 % interval, such as "305 (210 to 640)"; "–" if it is not known.
+    """
+    texts, count = [], annual.summary.occupancy.hours
+    for row, share in zip(annual.summary.protection, _hours_over(annual, limit), strict=True):
+        low, high = (round(count * part / 100) for part in (share.low, share.high))
+        hours = row.hours_over.get(f"{limit:.2f}")
+        interval = f" ({low} to {high})" if low < high else ""
+        texts.append("–" if hours is None else f"{hours}{interval}")
+    return texts
+
+
 def disturbed(annual: Annual) -> list[str]:
     """Return for each direction whether it is disturbed: "yes", "no" or "cannot tell".
 
@@ -158,11 +173,12 @@ def disturbed(annual: Annual) -> list[str]:
 def directions_section(annual: Annual) -> Section:
     """Return the section with a table of view directions: class, DGP, and hours above limits."""
     rows, summary = [], annual.summary.protection
-    for row, over, sdg in zip(summary, _hours_over(annual, GA_DGP), disturbed(annual), strict=True):
+    counts = zip(*(_hours_texts(annual, limit) for _, limit in CLASSES), strict=True)
+    shown = (summary, _hours_over(annual, GA_DGP), disturbed(annual), counts)
+    for row, over, sdg, hours in zip(*shown, strict=True):
         unknown = "cannot tell yet" if row.low is not None else "no uncertainty known"
         settled = "–" if row.glare_class == NOT_SEEN else "yes" if row.certain else unknown
         of_class = page.chip(row, ", partly seen" if row.seen == PARTLY_SEEN else "")
-        hours = ("–" if count is None else count for count in row.hours_over.values())
         free = Share(100 - over.value, 100 - over.high, 100 - over.low).text()
         interval = "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
         figures = (exceeded_text(row), interval, *hours, "–" if sdg == "–" else free, sdg)

@@ -38,7 +38,7 @@ class YearOccupancy(Struct, frozen=True):
 
     text: which hours these are, in words; hours: their number; lit: number of those with daylight;
     untrusted_share: share (0 to 1) of the lit hours in which the model does not trust its maps;
-    unsure_share: share of the lit hours with such a map or with a wide interval of DGP, None in
+    unsure_share: share of the lit hours with a wide interval of DGP, None in
     files of earlier versions.
     """
 

@@ -197,7 +197,7 @@ def _judged(
     rows = protection(dgp, u, hours_used, azimuths, rng, u_rel * dgp_per_scale(dgp, ev_lx))
     budgets = budget.year_budget(dgp, ev_lx, u, hours_used, azimuths, camera)
     count = int(used.sum())
-    # shares of the k hours: map not trusted; map trusted, but the interval of DGP spans the classes
+    # shares of the k hours: map not trusted; interval of DGP spans the classes
     untrusted, wide = (float(hours.sum()) / max(count, 1) for hours in unsure_hours(annual, rows))
     shares: Floats | tuple[()] = ()
     if room.seen is not None:
@@ -205,7 +205,7 @@ def _judged(
     rule = summary.inputs["occupancy"]
     summary = structs.replace(
         summary,
-        occupancy=YearOccupancy(rule, hours_used, count, untrusted, untrusted + wide),
+        occupancy=YearOccupancy(rule, hours_used, count, untrusted, wide),
         seen_share=tuple(round(float(share), 3) for share in shares),
         u_scale_rel=u_rel,
         protection=rows,
@@ -488,7 +488,7 @@ _UNSEEN_NOTES = {
 
 
 def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, Mask]:
-    """Return masks [n] of the occupied hours with an untrusted map, and of others with a wide DGP.
+    """Return masks [n] of the occupied hours with an untrusted map, and of those with a wide DGP.
 
     annual: n daylight hours in d directions. rows: one for each direction, of which `seen` is used.
     An hour has a wide DGP if its 95 % interval is over 0.2 wide in a direction that lenses saw
@@ -501,7 +501,7 @@ def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, M
     full = full if any(full) else annual.judged  # [d], the directions that decide
     gap = (annual.views["dgp_high"] - annual.views["dgp_low"])[:, full]  # [n, at most d]
     widest = np.nan_to_num(gap).max(axis=1, initial=0.0)
-    return untrusted, annual.occupied & ~untrusted & (widest > _WIDE_DGP)
+    return untrusted, annual.occupied & (widest > _WIDE_DGP)
 
 
 def are_full_years(days: int) -> bool:
@@ -535,12 +535,16 @@ def _notes(
     if summary.weather.synthetic:
         yield "the weather is synthetic: it must not be used to judge this place"
     yield from room.sky_view.notes if room.sky_view else [room.disc_from]
-    if (unsure := occupancy.unsure_share or 0.0) > 0.05:
+    if untrusted > 0.05:
         mirror = "a mirrored sun may be in view, " if room.mirrors else ""
         yield (
-            f"The model's DGP is uncertain in {100 * unsure:.0f} % of the occupied "
-            f"daylight hours. In {100 * untrusted:.0f} % no similar light was captured, {mirror}or "
-            f"it expects a large error. In {100 * (unsure - untrusted):.0f} % the 95 % interval is "
+            f"In {100 * untrusted:.0f} % of the occupied daylight hours the maps are not trusted: "
+            f"no similar light was captured, {mirror}or pixels may be wrong by more than 20 %. "
+            "Intervals of DGP and classes include it; capture more days and seasons"
+        )
+    if (unsure := occupancy.unsure_share or 0.0) > 0.05:
+        yield (
+            f"In {100 * unsure:.0f} % of the occupied daylight hours the 95 % interval of DGP is "
             f"wider than {_WIDE_DGP:g} in a fully seen direction: often the sky view does not "
             "decide whether the sun's disc is seen; capture clear hours with the sun in a window, "
             "which also give the camera's heading"
