@@ -25,7 +25,7 @@ from fieldlum.session.panorama_sun import SUN_FROM, read_suns
 from fieldlum.sky import sun
 from fieldlum.sky.sun_disc import add_source
 from fieldlum.year.glare.pictures import panorama_to_fisheye, picture_centres
-from fieldlum.year.glare.standards import CLASSES, EXCEEDED_SHARE, dgp_per_scale
+from fieldlum.year.glare.standards import EXCEEDED_SHARE, dgp_per_scale
 from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE, read_budgets
 from fieldlum.year.predict import Annual, melanopic
 from fieldlum.year.predict.annual import Pictures
@@ -173,9 +173,11 @@ def disturbed(annual: Annual) -> list[str]:
 def directions_section(annual: Annual) -> Section:
     """Return the section with a table of view directions: class, DGP, and hours above limits."""
     rows, summary = [], annual.summary.protection
-    counts = zip(*(_hours_texts(annual, limit) for _, limit in CLASSES), strict=True)
-    shown = (summary, _hours_over(annual, GA_DGP), disturbed(annual), counts)
-    for row, over, sdg, hours in zip(*shown, strict=True):
+    disturbing = _hours_texts(annual, GA_DGP)
+    shown = (summary, _hours_over(annual, GA_DGP), disturbed(annual), disturbing)
+    for row, over, sdg, of_glare in zip(*shown, strict=True):
+        counts = {name: "–" if n is None else n for name, n in row.hours_over.items()}
+        hours = (counts | {f"{GA_DGP:.2f}": of_glare}).values()
         unknown = "cannot tell yet" if row.low is not None else "no uncertainty known"
         settled = "–" if row.glare_class == NOT_SEEN else "yes" if row.certain else unknown
         of_class = page.chip(row, ", partly seen" if row.seen == PARTLY_SEEN else "")

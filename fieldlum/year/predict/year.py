@@ -13,7 +13,7 @@ from msgspec import structs
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import Caution, InputError, NotEnoughDataError
-from fieldlum.core.records import utc_text
+from fieldlum.core.records import listed, utc_text
 from fieldlum.core.room_states import LAMP_OFF
 from fieldlum.core.scheduler import LOCAL, Scheduler
 from fieldlum.learn.models import Fitted, load, read_config
@@ -535,6 +535,9 @@ def _notes(
     if summary.weather.synthetic:
         yield "the weather is synthetic: it must not be used to judge this place"
     yield from room.sky_view.notes if room.sky_view else [room.disc_from]
+    marked = sorted({view.state for view in room.sky_view.others} - {""} if room.sky_view else ())
+    if marked:
+        yield f"all hours are predicted without what some captures had: {listed(marked)}"
     if untrusted > 0.05:
         mirror = "a mirrored sun may be in view, " if room.mirrors else ""
         yield (
