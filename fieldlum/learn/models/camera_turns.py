@@ -34,7 +34,7 @@ from fieldlum.optics.turn_fit import Contrasts, fit_turn
 # command repeats it. In each a capture has at most so many steps, until one is smaller than this
 # share of it: single steps stop short of turns of five pixels, five find nine (six rooms of another
 # renderer, captures of half a day).
-_SMOOTH_PX = (3.0, 0.7)
+_SMOOTH_PX = (3.0, 1.0, 0.7)
 _MAX_STEPS, _SMALL_STEP = 5, 0.1
 _TILES = (6, 12)  # rows and columns of independent parts of the picture; not measured
 # Standard uncertainty of heading, tilt and roll, because light from another direction moves edges:
