@@ -24,14 +24,15 @@ class Contrasts:
     values: Floats
     group: Indices
 
-    def residual_of(self, column: Floats, weights: Floats) -> Floats:
-        """Return a column [m] minus each group's multiple of `values`, by weighted least squares.
+    def residual_of(self, columns: Floats, weights: Floats) -> Floats:
+        """Return columns [m, k] minus each group's multiple of `values`, by weighted least squares.
 
         weights: [m], at least 0.
         """
-        along = np.bincount(self.group, weights * self.values * column)
-        norm = np.bincount(self.group, weights * self.values**2)
-        return column - self.values * (along / np.maximum(norm, 1e-12))[self.group]
+        weighted = weights * self.values
+        norm = np.maximum(np.bincount(self.group, weighted * self.values), 1e-12)
+        along = np.stack([np.bincount(self.group, weighted * c) / norm for c in columns.T])
+        return columns - (self.values * along[:, self.group]).T
 
 
 def fit_turn(
@@ -55,12 +56,12 @@ def fit_turn(
     base = np.ones(len(target)) if weights is None else weights
     robust = used = base
     columns, values, inverse = design / scale, target, np.eye(len(scale))
-    unknowns, rest = np.zeros(len(scale)), target
+    unknowns, rest, given = np.zeros(len(scale)), target, np.column_stack((columns, target))
     for _ in range(4):
         used = robust
         if contrasts is not None:
-            columns = np.stack([contrasts.residual_of(c, used) for c in (design / scale).T], axis=1)
-            values = contrasts.residual_of(target, used)
+            explained = contrasts.residual_of(given, used)
+            columns, values = explained[:, :-1], explained[:, -1]
         normal = columns.T @ (used[:, None] * columns)
         if np.linalg.cond(normal) > 1e6:  # edges do not determine the unknowns
             return None

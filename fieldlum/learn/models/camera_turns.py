@@ -177,11 +177,12 @@ def _edges_of(logs: Array, heading_deg: float, angles_deg: Array, smooth_px: flo
 class _RoomEdges:
     """The room's edges at the m pixels where they are strongest, and how a turn changes them."""
 
-    def __init__(self, edges: Array, seen_mask: Mask, heading_deg: float) -> None:
+    def __init__(self, edges: Array, seen_mask: Mask, heading_deg: float, smooth_px: float) -> None:
         """Choose the pixels, and compute how a turn of one degree changes their edges.
 
         edges: the room's, by `_edges_of` [2, H, W]; seen_mask: pixels that a lens saw [H, W];
-        heading_deg: azimuth of the maps' centre column.
+        heading_deg: azimuth of the maps' centre column; smooth_px: by which the edges were
+        smoothed.
         """
         height, width = seen_mask.shape
         strength = np.hypot(edges[0], edges[1])
@@ -190,8 +191,9 @@ class _RoomEdges:
         self.edges, self.compared = edges, compared
         # Only the 60 % of the pixels with the strongest edges are compared.
         pixels = np.flatnonzero(compared & (strength >= np.quantile(strength[compared], 1.0 - 0.6)))
-        # At most 6000 pixels limit the time: every k-th, with k rounded up.
-        self.pixels = pixels[:: -(-len(pixels) // 6000)]  # [m]
+        # At most 6000 pixels limit the time: every k-th, with k rounded up. The neighbours of a
+        # smoothed pixel show the same.
+        self.pixels = pixels[:: max(-(-len(pixels) // 6000), int(smooth_px))]  # [m]
         self.values = self.at_pixels(edges)  # [2 m]
         row, column = np.divmod(self.pixels, width)
         tile = row * _TILES[0] // height * _TILES[1] + column * _TILES[1] // width
@@ -302,7 +304,7 @@ def camera_turns(
         progress(k, len(_SMOOTH_PX), "comparing the camera's poses")
         stored = {int(i): _edges_of(logs[i], heading_deg, angles[i], smooth_px) for i in sample}
         median = np.median(np.stack(list(stored.values())), axis=0)
-        room = _RoomEdges(median, seen_mask, heading_deg)
+        room = _RoomEdges(median, seen_mask, heading_deg, smooth_px)
         for i in range(count):
             edges = stored.get(i)
             if edges is None:
