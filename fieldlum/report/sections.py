@@ -437,6 +437,8 @@ def accuracy_section(
             f"Checked on {maps}, each predicted by a fit without its day: half of them are within "
             f"a factor of {median:.2f} (rms over the map), the worst within {worst:.2f}."
         )
+    notes = () if scores is None else scores.notes  # warnings are on top of the page
+    text = "\n".join((text, *(sentence(n) for n in notes if not n.startswith("WARNING"))))
     tables = [] if scores is None or not scores.models else [_score_table(scores)]
     rows = [] if held is None else [(_held_out_figure(held, names or {}),)]
     return Section("evidence", "How good the numbers are", text, rows, tables)
