@@ -65,8 +65,7 @@ def from_table(
     of a reading (default 0.02). The picture's luminance is the trimmed mean over a disc of 1
     degree, its illuminance that on a plane which faces the direction, both converted from the k of
     the merge to the profile's k. Raises InputError for a line with both or neither reading, a place
-    that is clipped or without light, a
-    plane in partial view, and pictures of another calibration.
+    that is clipped or without light, a plane in partial view, and pictures of another calibration.
     """
     optional = {"luminance_cdm2": None, "illuminance_lx": None, "u_rel": fit_steps.READING_U}
     rows = fit_steps.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
