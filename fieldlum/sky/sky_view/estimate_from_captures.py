@@ -659,8 +659,8 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
     share = (scatters * weight).sum() / max(((sky | scatters) * weight).sum(), 1e-9)
     if share > 0.05:
         notes.append(
-            f"{100 * share:.0f} % of the glazing scatters (a curtain, fabric): how much of "
-            "the disc passes is between 0 and its brightness; a capture with the sun behind it "
+            f"{100 * share:.0f} % of the glazing may scatter (a curtain, fabric): how much "
+            "of the disc passes is between 0 and its brightness; a capture with the sun behind it "
             "settles it"
         )
     if decided.changes is not None:
