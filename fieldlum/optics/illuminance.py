@@ -6,13 +6,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama, SunSource
-from fieldlum.optics.projection import (
-    FULLY_SEEN_SHARE,
-    direction,
-    equirect_rays,
-    row_solid_angles,
-    seen_shares,
-)
+from fieldlum.optics import projection
 
 
 def _cosine_weights(height: int, width: int, heading_deg: float, normal: Floats) -> Floats:
@@ -24,8 +18,8 @@ def _cosine_weights(height: int, width: int, heading_deg: float, normal: Floats)
     # At least 128 rows: the sum over a hemisphere is then pi to 0.01 %.
     fine = max(2, -(-128 // height))
     size = (height * fine, width * fine)
-    inside = np.maximum(equirect_rays(*size, heading_deg) @ normal, 0.0)
-    inside *= row_solid_angles(*size)[:, None]
+    inside = np.maximum(projection.equirect_rays(*size, heading_deg) @ normal, 0.0)
+    inside *= projection.row_solid_angles(*size)[:, None]
     return inside.reshape(height, fine, width, fine).sum(axis=(1, 3))
 
 
@@ -45,10 +39,10 @@ def illuminance_lx(
     """
     values = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
     height, width = values.shape
-    normal = direction(normal_altitude_deg, normal_azimuth_deg)
+    normal = projection.direction(normal_altitude_deg, normal_azimuth_deg)
     total = float((values * _cosine_weights(height, width, heading_deg, normal)).sum())
     if sun is not None:
-        cosine = float(direction(sun.altitude_deg, sun.azimuth_deg) @ normal)
+        cosine = float(projection.direction(sun.altitude_deg, sun.azimuth_deg) @ normal)
         total += sun.normal_illuminance_lx * max(cosine, 0.0)
     return total
 
@@ -60,7 +54,8 @@ def illuminance_ahead_lx(panorama: Panorama, sun: SunSource | None = None) -> fl
     less than `FULLY_SEEN_SHARE` of the plane's hemisphere, of which the rest would count as black.
     """
     heading_deg = panorama.heading_deg
-    if seen_shares(panorama.seen, heading_deg, [heading_deg])[0] < FULLY_SEEN_SHARE:
+    seen_share = projection.seen_shares(panorama.seen, heading_deg, [heading_deg])[0]
+    if seen_share < projection.FULLY_SEEN_SHARE:
         return None
     return illuminance_lx(panorama.luminance_cdm2, heading_deg, 0.0, heading_deg, sun)
 

@@ -15,13 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.core.errors import (
-    Caution,
-    FieldlumError,
-    InputError,
-    NotEnoughDataError,
-    input_errors,
-)
+from fieldlum.core import errors
+from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.records import Flag, Panorama, Site, SiteFile, parse_utc, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
@@ -231,7 +226,7 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
     pairs = PairsFile(session.pairs, tuple(rows))
     pairs.write()
     for text in pairs.pair_again:
-        warnings.warn(text.removeprefix("WARNING: "), Caution, stacklevel=2)
+        warnings.warn(text.removeprefix("WARNING: "), errors.Caution, stacklevel=2)
     return rows
 
 
@@ -290,7 +285,7 @@ def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: flo
     warn_if_picture_changed(bracket.panorama)
     try:
         panorama = read_panorama(bracket.panorama)
-    except FieldlumError as error:
+    except errors.FieldlumError as error:
         return Shown(bracket.slot, caution=str(error))
     sun, caution = measured_sun(panorama, full_normal_lx, bracket.meter_lx)
     seen = np.isfinite(panorama.seen_cdm2)

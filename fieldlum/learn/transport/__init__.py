@@ -23,18 +23,9 @@ from fieldlum.core.records import counted
 from fieldlum.core.statistics import standard_error
 from fieldlum.learn.models import ModelState, Patch, Prediction, deserialised, state_of
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.learn.transport import solve
+from fieldlum.learn.transport import solve, training_arrays
 from fieldlum.learn.transport.physics import Physics, physics_of
-from fieldlum.learn.transport.training_arrays import (
-    MIN_CDM2,
-    OpenSky,
-    PatchLight,
-    StateColumns,
-    TrainingArrays,
-    computed_light,
-    seen_sky,
-    training_arrays_of,
-)
+from fieldlum.learn.transport.training_arrays import MIN_CDM2, OpenSky, PatchLight, TrainingArrays
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.scene.sun_patches import sun_patches
 from fieldlum.session.site_toml import site_from_table
@@ -94,7 +85,7 @@ class Transport:
     kernel: Kernel
     captured: Features
     projector: Array
-    states: StateColumns
+    states: training_arrays.StateColumns
     open_sky: OpenSky
     pixels: solve.PixelFit
     uncertainty: Uncertainty
@@ -444,7 +435,7 @@ def _candidates_of(data: Dataset, patch: Patch, seed: int) -> _Candidates:
         finding = f"{counted(len(data), 'capture')}; light transport needs at least 3"
         raise NotEnoughDataError(f"{finding}; capture more hours")
     progress(0, 100, "describing light")
-    arrays = training_arrays_of(data, with_patch=patch != "none")
+    arrays = training_arrays.training_arrays_of(data, with_patch=patch != "none")
     scale = None
     if arrays.patch is not None:
         scale = solve.patch_scale(arrays)
@@ -559,14 +550,15 @@ def _candidate_inputs(
         arrays = replace(arrays, features=replace(arrays.features, bounced=bounced))
         perez = physics.luminance(light, sunlight, seen)
     # Fewer than four days do not show that other skies are better.
-    sky = seen_sky(arrays) if len(np.unique(arrays.days)) >= 4 else None
+    sky = training_arrays.seen_sky(arrays) if len(np.unique(arrays.days)) >= 4 else None
     out = []
     for shown in (None,) if sky is None else (None, sky):
         under_sky = arrays if shown is None else arrays.under(shown)
         out.append(_fit_inputs(under_sky, kernel, arrays.features))
         if physics is not None and sunlight is not None and perez is not None:
             under = perez if shown is None else physics.luminance(light, sunlight, seen, shown)
-            lit = replace(under_sky, computed=computed_light(under_sky, under, perez))
+            computed = training_arrays.computed_light(under_sky, under, perez)
+            lit = replace(under_sky, computed=computed)
             out.append(out[-1]._replace(arrays=lit))
     return out
 

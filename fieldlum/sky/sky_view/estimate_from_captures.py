@@ -22,23 +22,11 @@ from fieldlum.core.room_states import cover_state, parse_state
 from fieldlum.core.statistics import nan_percentiles
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import reinhart_patches
+from fieldlum.sky.sky_view import sky_directions
 from fieldlum.sky.sky_view.measured_discs import MIN_DISCS, MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
-from fieldlum.sky.sky_view.sky_directions import (
-    BEAM_LX,
-    MIN_CAPTURES,
-    SOME,
-    STRONG_BEAM_LX,
-    Followed,
-    SkyReference,
-    away_from_sun,
-    dark_shares,
-    follow,
-    sky_reference,
-    sky_share,
-    sun_in_front,
-)
+from fieldlum.sky.sky_view.sky_directions import BEAM_LX, MIN_CAPTURES, Followed, SkyReference
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import LENS_PIXEL_DEG, REACH_DAYS, SkyView, between, undecided_u
 from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours, efficacy_u
@@ -339,7 +327,7 @@ def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = N
     """
     rays = pose.true_directions(stack.grid.rays()[stack.kept])  # [p, 3]
     reference = reference or _reference(stack, rays, pose)
-    by_pixel = follow(stack.luminance_cdm2, stack.light, rays, reference)  # [p]
+    by_pixel = sky_directions.follow(stack.luminance_cdm2, stack.light, rays, reference)  # [p]
     followed = Followed(*map(stack.placed, astuple(by_pixel)))  # [h, w]
     ratio, brightest = followed.ratio, reference.brightest  # NaN brightest: nothing follows the sky
     sky = (followed.spread < _FOLLOWS) & (ratio / brightest > _PANE_SHARE)
@@ -385,12 +373,12 @@ def _reference(stack: _Stack, rays: Floats, pose: CameraPose) -> SkyReference:
 
     rays: true directions of the pixels kept [p, 3]; pose: of the camera.
     """
-    step = max(1, len(rays) // (10 * SOME))  # every step-th direction is enough
+    step = max(1, len(rays) // (10 * sky_directions.SOME))  # every step-th direction is enough
     patches = reinhart_patches()
     others = pose.true_directions(patches.directions[stack.elsewhere])
     altitude = np.arcsin(np.clip(rays[::step, 2], -1.0, 1.0))
     size_sr = step * np.radians(stack.grid.step_deg) ** 2
-    return sky_reference(
+    return sky_directions.sky_reference(
         np.concatenate([stack.luminance_cdm2[:, ::step], stack.elsewhere_cdm2], axis=1),
         stack.light,
         np.concatenate([rays[::step], others]),
@@ -414,8 +402,9 @@ def _openness(
     if mixed.any() and opaque.any():
         at, in_front = stack.columns[mixed.ravel()], stack.columns[_nearest(opaque)[mixed]]
         open_sky = reference.sky(stack.light, rays[at]) * pane[mixed].astype(np.float32)
-        shown = away_from_sun(stack.luminance_cdm2[:, at], stack.light, rays[at])
-        openness[mixed], u[mixed] = sky_share(shown, open_sky, stack.luminance_cdm2[:, in_front])
+        shown = sky_directions.away_from_sun(stack.luminance_cdm2[:, at], stack.light, rays[at])
+        through = stack.luminance_cdm2[:, in_front]
+        openness[mixed], u[mixed] = sky_directions.sky_share(shown, open_sky, through)
     openness[openness < _SHUT] = 0.0
     return openness, u, mixed
 
@@ -445,8 +434,8 @@ def _sun_is_behind(light: Light, rays: Floats) -> bool:
     answer is False if less than a quarter of the captures are clear: the spread over all captures
     is robust against so few.
     """
-    clear_share = (light.direct_lx > STRONG_BEAM_LX).mean()
-    is_lit = sun_in_front(light, rays).any(axis=0)
+    clear_share = (light.direct_lx > sky_directions.STRONG_BEAM_LX).mean()
+    is_lit = sky_directions.sun_in_front(light, rays).any(axis=0)
     return bool(len(rays) and is_lit.mean() < 0.5 and clear_share > 0.25)
 
 
@@ -461,11 +450,11 @@ def _covered(stack: _Stack, pose: CameraPose) -> Mask:
     An unmarked blind or a tint hides it. If three or more captures show it by a luminance below a
     third of the usual, then those below 0.6 of it are in the mask too.
     """
-    step = max(1, stack.luminance_cdm2.shape[1] // (4 * SOME))
+    step = max(1, stack.luminance_cdm2.shape[1] // (4 * sky_directions.SOME))
     rays = pose.true_directions(stack.grid.rays()[stack.kept][::step])
     season, covered = _season(stack.light), np.zeros(len(stack.light), bool)
     for shade in (_SHADED, _HALF_SHADED):
-        dark = dark_shares(stack.luminance_cdm2[:, ::step], stack.light, rays, shade)
+        dark = sky_directions.dark_shares(stack.luminance_cdm2[:, ::step], stack.light, rays, shade)
         usual = np.array([np.median(dark[season == k]) for k in season])
         covered |= dark > usual + _COVERED_SHARE
         if covered.sum() < 3:
@@ -533,7 +522,7 @@ def _seasonal_ratios(
     sky = np.zeros(len(rays))
     for rows, reference in seasons:
         luminance = stack.luminance_cdm2[rows][:, likely]
-        seen = follow(luminance, stack.light[rows], rays[likely], reference)
+        seen = sky_directions.follow(luminance, stack.light[rows], rays[likely], reference)
         sky[likely] = np.maximum(sky[likely], np.where(seen.spread < _FOLLOWS, seen.ratio, 0.0))
     return usual, sky
 
@@ -561,7 +550,7 @@ def _turned(stack: _Stack, view: SkyView) -> CameraPose:
     margin_px = int(np.ceil(0.5 / stack.grid.step_deg))  # half a degree from an edge
     open_sky = stack.kept & (view.openness >= _OPEN)
     at = np.flatnonzero(ndimage.binary_erosion(open_sky, np.ones((3, 3)), iterations=margin_px))
-    at = at[:: max(1, len(at) // SOME)]
+    at = at[:: max(1, len(at) // sky_directions.SOME)]
     rays = view.pose.true_directions(stack.grid.rays().reshape(-1, 3)[at])
     luminance = stack.luminance_cdm2[:, stack.columns[at]]
     correction = heading_by_sky(luminance, stack.light, rays, view.pose.axis_deg)
