@@ -20,12 +20,11 @@ from fieldlum.core.progress import progress
 from fieldlum.core.scheduler import Scheduler
 from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import compass_name
-from fieldlum.session import Session, open_session
+from fieldlum.session import Session, open_session, site_toml
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.model_files import TrainAnswer
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.journal import EventFields
-from fieldlum.session.site_toml import load_site
 from fieldlum.year import predict
 
 MODEL = "auto"
@@ -61,7 +60,7 @@ def prepare(folder: Path) -> Session:
     """
     from fieldlum import plan
 
-    setup = load_site(shipped("capture_plans") / "seattle-office.toml")
+    setup = site_toml.load_site(shipped("capture_plans") / "seattle-office.toml")
     if (folder / "session.toml").is_file():
         if open_session(folder).site_file().site != setup.site:
             raise InputError(folder, "a session of another site", "a new folder", "name one")

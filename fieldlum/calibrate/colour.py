@@ -19,8 +19,7 @@ from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.strict_csv import lines_of, read_number, read_text
-from fieldlum.optics import melanopic
-from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz
+from fieldlum.optics import images, melanopic
 from fieldlum.optics.profiles import CameraProfile, Colour
 
 # Weights of the prior relative to one reading, from strong to weak, of which held-out readings
@@ -369,7 +368,7 @@ def with_melanopic(
     spectrometer; ValueError as `chart_xyz`.
     """
     # `origin`: the weights of X, Y, Z and their relative uncertainty, by where the colours are from
-    origin, to_xyz = melanopic.BY_MATRIX, rgb_to_xyz(RADIANCE_CHROMATICITIES)
+    origin, to_xyz = melanopic.BY_MATRIX, images.rgb_to_xyz(images.RADIANCE_CHROMATICITIES)
     if cct_k is not None and colours.of_chart:
         xyz, origin = xyz_from_chart(colours.rgb, colour.y_from_rgb, cct_k), melanopic.BY_CHART
         line = f"melanopic: chart under daylight of {cct_k:g} K"

@@ -11,16 +11,14 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from fieldlum.capture import match_card
+from fieldlum.capture import import_logger, match_card
 from fieldlum.capture.bracket import FrameRequest, frame_requests, write_capture
-from fieldlum.capture.import_logger import import_rows
 from fieldlum.capture.match_card import CardFrame, Clocks, Group, Match, Offset, Report
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot, listed
 from fieldlum.optics.profiles import CameraBody, load_camera_profile
-from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
-from fieldlum.optics.raw.exif import tags_of, text_of
+from fieldlum.optics.raw import RAW_SUFFIXES, exif, is_jpeg, jpeg_size, read_exif, same_model
 from fieldlum.session import Journal, Session, exposure_text, replacing_path, sha256, sole_user
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.folder import DeviceTable, update_session
@@ -49,7 +47,7 @@ def run(
         rows, report = Report(), Report()
         if logger is not None:
             offset_s = utc_offset_s if logger_utc_offset_s is None else logger_utc_offset_s
-            rows = import_rows(session, logger, offset_s, **of_logger)
+            rows = import_logger.import_rows(session, logger, offset_s, **of_logger)
         if folder is not None:
             report = _import_card(session, folder, utc_offset_s)
     left_out, notes = (*report.left_out, *rows.left_out), (*report.notes, *rows.notes)
@@ -354,7 +352,7 @@ def read_card(
         t_camera -= timedelta() if own_clock or offset is None else offset
         camera = info.model or info.make or "a camera that EXIF does not name"
         # BodySerialNumber (EXIF 2.3) distinguishes two bodies of one model.
-        serial = text_of(tags_of(path), 42033)
+        serial = exif.text_of(exif.tags_of(path), 42033)
         frames.append(CardFrame(path, info.exposure, t_camera, offset_s, camera, serial))
     return frames, left_out
 

@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.core import strict_csv
+from fieldlum.core import files, strict_csv
 from fieldlum.core.arrays import Mask
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.files import open_to_read
 from fieldlum.core.records import IrradianceSample, counted, require_known_year
 from fieldlum.devices.modbus import MAX_WM2, MIN_WM2
 from fieldlum.session.day_files import DAY_COLUMNS, read_day
@@ -122,7 +121,7 @@ def read_logger_file(
     utc_offset, and for dates whose day and month cannot be distinguished.
     """
     first_bytes = b""
-    with suppress(OSError), open_to_read(path) as file:
+    with suppress(OSError), files.open_to_read(path) as file:
         first_bytes = file.read(len(_NETCDF))
     options = (utc_offset, columns or {}, sensitivities or {})
     if first_bytes == _NETCDF:

@@ -13,13 +13,9 @@ from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, UInts8
 from fieldlum.core.progress import progress
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Flag, Panorama
 from fieldlum.merge.sensor_frames import SensorImage
-from fieldlum.optics import melanopic
-from fieldlum.optics.camera_curves import vignetting_at
-from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
-from fieldlum.optics.linear_light import curve_u_rel, vignetting_of
+from fieldlum.optics import camera_curves, images, linear_light, melanopic, stray_light
 from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import Equirect, LensGeometry, Target, lens_pixels, wrapped
-from fieldlum.optics.stray_light import stray_cdm2
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,10 +296,10 @@ def view_through(
     weights = np.asarray(profile.colour.y_from_rgb)
     parts = np.maximum(rgb * weights, 0.0) + 1e-30  # of the colours in the luminance, [n, 3]
     u_ratio = (parts * sensor.u_curve(rgb)).sum(axis=1) / parts.sum(axis=1)
-    coefficients, u_at_edge = vignetting_of(lens, sensor.f_number)
+    coefficients, u_at_edge = linear_light.vignetting_of(lens, sensor.f_number)
     angle = resampling.angle_rad.astype(np.float64)
-    vignetting = vignetting_at(coefficients, angle / geometry.half_angle_rad)
-    loss_at_edge = max(1.0 - float(vignetting_at(coefficients, 1.0)), 1e-9)
+    vignetting = camera_curves.vignetting_at(coefficients, angle / geometry.half_angle_rad)
+    loss_at_edge = max(1.0 - float(camera_curves.vignetting_at(coefficients, 1.0)), 1e-9)
     u_vignetting = u_at_edge * np.clip((1.0 - vignetting) / loss_at_edge, 0.0, 1.0)
     rgb, variance = rgb / vignetting[:, None], variance / vignetting[:, None] ** 2
     # a lens fades out in a rim of 0.06 rad if another lens sees the same directions
@@ -343,7 +339,7 @@ def _stray_of_lens(
     rays = target.rays(*(np.arange(count) + 0.5 for count in target.shape)).reshape(-1, 3)
     kernel = (np.asarray(profile.stray.angle_deg), np.asarray(profile.stray.per_sr))
     seen = np.where(seen_mask, light, 0.0)
-    return stray_cdm2(seen, target.solid_angles().ravel(), rays, *kernel)
+    return stray_light.stray_cdm2(seen, target.solid_angles().ravel(), rays, *kernel)
 
 
 def blend(views: Sequence[LensView]) -> ProjectedImage:
@@ -407,7 +403,7 @@ def finished_map(
     """
     light, colour = view.luminance, profile.colour
     in_lens = (view.flags & Flag.OUTSIDE_LENS) == 0
-    relative2 = view.u_ratio**2 + curve_u_rel(profile) ** 2 + view.u_vignetting**2
+    relative2 = view.u_ratio**2 + linear_light.curve_u_rel(profile) ** 2 + view.u_vignetting**2
     relative2 = relative2 + colour.u_rel**2 + profile.scale.u_rel**2
     solid_sr = target.solid_angles().ravel() * in_lens
     mean_cdm2 = float((light * solid_sr).sum() / max(solid_sr.sum(), 1e-12))
@@ -419,7 +415,7 @@ def finished_map(
     flags = view.flags.astype(np.uint16)
     quiet = (view.flags & Flag.MOTION) == 0  # the variance of disagreeing frames is not noise
     flags[in_lens & quiet & (light < np.sqrt(view.variance))] |= np.uint16(Flag.BELOW_NOISE)
-    attributes, rgb = calibration_mark(profile), None
+    attributes, rgb = images.calibration_mark(profile), None
     attributes[U_PERCENT] = _shared_percents(view, np.maximum(light, 0.0) * solid_sr, profile)
     if colour.rgb_to_radiance:
         matrix = np.reshape(colour.rgb_to_radiance, (3, 3))
@@ -452,7 +448,7 @@ def _shared_percents(view: ProjectedImage, weight: Floats, profile: CameraProfil
     shared = {
         "scale": profile.scale.u_rel,
         "colour": profile.colour.u_rel,
-        "response": curve_u_rel(profile),
+        "response": linear_light.curve_u_rel(profile),
         "exposures": mean(view.u_ratio),
         "vignetting": mean(view.u_vignetting),
         VEILING_GLARE: profile.glare_floor_rel,
@@ -503,7 +499,7 @@ def _radiance_rgb(colour: Floats, light: Floats) -> Floats32:
     as 179 (.265 R + .670 G + .065 B). Pixels whose colour makes this impossible are grey.
     """
     positive = np.maximum(colour, 0.0)
-    own_y = (positive @ np.asarray(RADIANCE_Y))[:, None]
+    own_y = (positive @ np.asarray(images.RADIANCE_Y))[:, None]
     scale = np.divide(light[:, None], own_y, out=np.ones_like(own_y), where=own_y > 1e-12)
-    rgb = np.where(own_y > 1e-12, positive * scale, light[:, None]) / RADIANCE_LM_PER_W
+    rgb = np.where(own_y > 1e-12, positive * scale, light[:, None]) / images.RADIANCE_LM_PER_W
     return rgb.astype(np.float32)

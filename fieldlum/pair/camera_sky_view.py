@@ -17,8 +17,7 @@ from fieldlum.core.records import JsonTable, Panorama, Room, Site, SunSource
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import altitude_azimuth_deg, flat_pixels
 from fieldlum.pair.sun_strength import is_measured
-from fieldlum.session import Session, replacing_path, sha256
-from fieldlum.session.codec import data_digest
+from fieldlum.session import Session, codec, replacing_path, sha256
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import reinhart_patches
 from fieldlum.sky.picture_axes import wrong_axes
@@ -81,7 +80,7 @@ class _Pictures:
     @property
     def digest(self) -> str:
         """Digest of the contents of all files."""
-        return data_digest([sha256(file) if file.is_file() else "" for file in self.files])
+        return codec.data_digest([sha256(file) if file.is_file() else "" for file in self.files])
 
     def read(self, k: int) -> SkyPicture:
         """Return the picture of capture k, from 0."""
@@ -110,7 +109,7 @@ def write_sky_view(
     inputs: JsonTable = {
         "captures": slots,
         "pictures": pictures.digest,
-        "others": data_digest(__version__, light, shares, discs),
+        "others": codec.data_digest(__version__, light, shares, discs),
     }
     with suppress(InputError):  # a damaged view is estimated again
         stored = None if force else SkyView.find(session.sky_view)

@@ -33,10 +33,8 @@ from fieldlum.room.fit.scene_file import SCENE_TOML, read_scene
 from fieldlum.room.scene.box_room import build
 from fieldlum.room.scene.radiance import rad_text
 from fieldlum.room.scene.write_honeybee import MODEL_NAME, honeybee_model
-from fieldlum.session import Session, replacing_path, write_file
-from fieldlum.session.codec import warn_if_changed, write_csv, write_object
+from fieldlum.session import Session, codec, panorama_sun, replacing_path, write_file
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.version import __version__
 from fieldlum.year.glare.picture_glare import valid_pixels
@@ -74,7 +72,7 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
         files.append(_netcdf(annual.to_xarray(), out / "year.nc"))
     for number, path in enumerate(panoramas):
         progress(number, len(panoramas), "maps")
-        panorama = read_panorama_with_sun(path)
+        panorama = panorama_sun.read_panorama_with_sun(path)
         light, _ = valid_pixels(panorama, path)
         asked_deg = azimuths_deg or (panorama.heading_deg,)
         for azimuth_deg in dict.fromkeys(round(a % 360.0, 1) % 360.0 for a in asked_deg):
@@ -113,7 +111,7 @@ def _sky(session: Session, out: Path) -> list[Path]:
     table, picture = out / "sky_view.csv", out / "sky_view_mask.png"
     names = ("altitude_deg", "azimuth_deg", "beam_share", "low", "high")
     rows = zip(altitude, azimuth, *shares, strict=True)
-    write_csv(table, (dict(zip(names, row, strict=True)) for row in rows), names, digits=4)
+    codec.write_csv(table, (dict(zip(names, row, strict=True)) for row in rows), names, digits=4)
     # pixels from the middle, 1 at the horizon
     y, x = 2.0 * np.array(np.broadcast_arrays(*picture_centres(_FISHEYE_PX, _FISHEYE_PX)))
     radius = np.hypot(x, y)
@@ -145,7 +143,7 @@ def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Pa
             raise InputError(file, found, "another folder", "choose another --out")
     north = f"{_Y_AXIS} {(room.wall_azimuth_deg + 180) % 360:g} deg from true north\n"
     write_file(rad_file, north + rad_text(build(room)))
-    write_object(honeybee_file, honeybee_model(room, azimuths_deg))
+    codec.write_object(honeybee_file, honeybee_model(room, azimuths_deg))
     return [rad_file, honeybee_file]
 
 
@@ -252,7 +250,7 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
             add(name, text.encode())
         for number, path in enumerate(files):
             progress(number, len(files), "files")
-            warn_if_changed(path)  # the archive has no checksum files, but its own manifest
+            codec.warn_if_changed(path)  # the archive has no checksum files, but its own manifest
             add(path.relative_to(session.root).as_posix(), read_bytes(path))
         manifest = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests))
         archive.writestr(f"{top}/MANIFEST.sha256", manifest)

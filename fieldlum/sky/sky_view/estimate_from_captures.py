@@ -22,12 +22,11 @@ from fieldlum.core.room_states import cover_state, parse_state
 from fieldlum.core.statistics import nan_percentiles
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import reinhart_patches
-from fieldlum.sky.sky_view import sky_directions
+from fieldlum.sky.sky_view import sky_directions, sky_heading
 from fieldlum.sky.sky_view.measured_discs import MIN_DISCS, MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
 from fieldlum.sky.sky_view.sky_directions import BEAM_LX, MIN_CAPTURES, Followed, SkyReference
-from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import LENS_PIXEL_DEG, REACH_DAYS, SkyView, between, undecided_u
 from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours, efficacy_u
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
@@ -545,7 +544,7 @@ def _turned(stack: _Stack, view: SkyView) -> CameraPose:
 
     It is the same object if the heading does not change.
     """
-    if view.pose.heading_sd_deg < MIN_U_DEG:
+    if view.pose.heading_sd_deg < sky_heading.MIN_U_DEG:
         return view.pose
     margin_px = int(np.ceil(0.5 / stack.grid.step_deg))  # half a degree from an edge
     open_sky = stack.kept & (view.openness >= _OPEN)
@@ -553,7 +552,7 @@ def _turned(stack: _Stack, view: SkyView) -> CameraPose:
     at = at[:: max(1, len(at) // sky_directions.SOME)]
     rays = view.pose.true_directions(stack.grid.rays().reshape(-1, 3)[at])
     luminance = stack.luminance_cdm2[:, stack.columns[at]]
-    correction = heading_by_sky(luminance, stack.light, rays, view.pose.axis_deg)
+    correction = sky_heading.heading_by_sky(luminance, stack.light, rays, view.pose.axis_deg)
     return view.pose if correction is None else view.pose.with_heading(*correction)
 
 

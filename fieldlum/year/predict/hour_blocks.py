@@ -22,10 +22,9 @@ from fieldlum.learn.models import Fitted, Prediction, load, read_config, seen_of
 from fieldlum.learn.models.mirrors import Mirror, MirroredSun, read_mirrors
 from fieldlum.optics.projection import altitude_azimuth_deg, column_azimuths_deg, row_altitudes_deg
 from fieldlum.room.scene import sun_patches
-from fieldlum.session import sha256
+from fieldlum.session import sha256, site_toml
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS
 from fieldlum.session.files.model_files import ModelConfig
-from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.pose import CameraPose
 from fieldlum.sky.sky_view.view import SKY_VIEW, SkyView
@@ -124,7 +123,7 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     if height <= 0 or width <= 0 or heading is None or not config.setup:
         expected = "the site, size and heading of the model's pictures"
         raise InputError(folder / "config.json", "no such keys", expected, "train the model again")
-    setup = site_from_table(config.setup, str(folder / "config.json"))
+    setup = site_toml.site_from_table(config.setup, str(folder / "config.json"))
     state = config.state
     needs_patch = bool(state.get("with_patch", state.get("patch", "none") != "none"))
     if needs_patch and setup.room is None:
