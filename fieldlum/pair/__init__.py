@@ -33,10 +33,8 @@ from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile, light_digests
 from fieldlum.session.files.sidecar import Sidecar, warn_if_picture_changed
 from fieldlum.session.panorama_sun import SunRow, write_suns
-from fieldlum.sky import sun
+from fieldlum.sky import log_clock_offset, picture_axes, sun
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.log_clock_offset import lit_at_night
-from fieldlum.sky.picture_axes import sun_elsewhere
 from fieldlum.sky.sky_view.sky_directions import BEAM_LX
 
 _CLIPPED_PERCENT = 50.0  # more of the view says little about the room; chosen
@@ -185,7 +183,7 @@ def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
 
     path: of the log, for the error. The cause is a wrong clock or a wrong place.
     """
-    lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
+    lit = log_clock_offset.lit_at_night(log.t_unix_s, log.ghi_wm2, site)
     if len(lit) > 5:
         dark = f"{len(lit)} minutes with the sun well below the horizon"
         finding = f"irradiance was logged in {dark}, first at {utc_text(lit[0])}"
@@ -297,7 +295,7 @@ def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: flo
         flags = panorama.flags
         clipped = None if flags is None else (flags & Flag.CLIPPED_HIGH) > 0
         light = panorama.luminance_cdm2
-        at = sun_elsewhere(light, heading_deg, full_normal_lx, clipped, altitude_deg)
+        at = picture_axes.sun_elsewhere(light, heading_deg, full_normal_lx, clipped, altitude_deg)
     patches = in_patches(panorama)
     return Shown(bracket.slot, sun, recorded_lx, caution, seen, heading_deg, at, patches)
 

@@ -15,8 +15,7 @@ from starlette.routing import Route
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import JsonTable, Room, parse_utc
-from fieldlum.optics.images import read_panorama
-from fieldlum.optics.projection import direction
+from fieldlum.optics import images, projection
 from fieldlum.room.scene import drawing, sun_patches
 from fieldlum.room.scene.clicked import ClickedRoom, ClickGrid, clicks_from_rows, room_from_clicks
 from fieldlum.session import Session, site_toml, update_session, write_file
@@ -56,7 +55,7 @@ class ClickedPicture:
             raise InputError(session.root, f"no panorama {slot}", expected, "see panoramas/")
         altitudes_deg = {slot.id: slot.sun_altitude_deg for slot in session.slots()}
         slot = slot or max(merged, key=lambda name: altitudes_deg.get(name, -90.0))
-        panorama = read_panorama(merged[slot])
+        panorama = images.read_panorama(merged[slot])
         height, width = panorama.luminance_cdm2.shape
         return cls(session, slot, ClickGrid(height, width, panorama.heading_deg))
 
@@ -211,7 +210,7 @@ def _patch_outlines(room: Room, picture: ClickedPicture) -> list[list[float]]:
     altitude_deg, azimuth_deg = float(at.altitude_deg[0]), float(at.azimuth_deg[0])
     if altitude_deg <= 0:
         return []
-    to_sun = direction(altitude_deg, azimuth_deg)[None]  # [1, 3]
+    to_sun = projection.direction(altitude_deg, azimuth_deg)[None]  # [1, 3]
     heading, size = picture.grid.heading_deg, _PATCH_HEIGHT_PX
     light = sun_patches(room, to_sun, 1.0, height=size, heading_deg=heading, sub=1)[0]  # [H, W]
     # Without the dim rim of a patch, where the sun is partly hidden. Chosen.

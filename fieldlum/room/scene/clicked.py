@@ -13,11 +13,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from fieldlum.core import strict_csv, strict_toml
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Window
-from fieldlum.core.strict_csv import read_table
-from fieldlum.core.strict_toml import convert
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_pixel
 from fieldlum.room.scene.box_room import FROM_HIGH_END, WALLS, room_axes
 
@@ -83,7 +82,7 @@ def read_clicks(path: Path) -> list[Click]:
     line).
     """
     expected, remedy = "a csv of clicks", "check the path of the csv"
-    table = read_table(path, expected, remedy)
+    table = strict_csv.read_table(path, expected, remedy)
     if table.names != COLUMNS:
         found = f"columns {','.join(table.names)[:80]}"
         expected = f"exactly the columns {','.join(COLUMNS)} in this order"
@@ -110,7 +109,7 @@ def _click(where: str, line: int, row: Any) -> Click:
     """
     expected = f"a kind of {', '.join(KINDS)}; numbers x_px and y_px; 1 to 50 for a window"
     try:
-        click = convert({**row, "window": row.get("window") or 0, "line": line}, Click)
+        click = strict_toml.convert({**row, "window": row.get("window") or 0, "line": line}, Click)
     except (AttributeError, TypeError, ValueError) as error:
         raise InputError(where, str(error)[:120], expected, "correct the click") from None
     if (click.kind in ("floor", "ceiling")) != (click.window == 0) or not 0 <= click.window <= 50:

@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from fieldlum.core import room_states, statistics
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Site, counted, listed
-from fieldlum.core.room_states import cover_state, parse_state
-from fieldlum.core.statistics import nan_percentiles
+from fieldlum.sky import perez, sun_disc
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.perez import reinhart_patches
 from fieldlum.sky.sky_view import sky_directions, sky_heading
 from fieldlum.sky.sky_view.measured_discs import MIN_DISCS, MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
@@ -30,7 +29,6 @@ from fieldlum.sky.sky_view.sky_directions import BEAM_LX, MIN_CAPTURES, Followed
 from fieldlum.sky.sky_view.view import LENS_PIXEL_DEG, REACH_DAYS, SkyView, between, undecided_u
 from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours, efficacy_u
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
-from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
 
 # Sunlight inside a room also follows the sky a little: interior surfaces reach 1.2 % of the sky's
 # luminance in the rooms of docs/sky-view.md. Less counts as shut, and as no disc.
@@ -121,8 +119,8 @@ def sky_view_of(
     if not lit:
         raise NotEnoughDataError("a sky view needs captures by daylight; none has 1 000 lx outside")
     by_state: dict[str, list[int]] = {}
-    for k in [k for k in lit if "snow=yes" not in parse_state(states[k])] or lit:
-        by_state.setdefault(cover_state(states[k]), []).append(k)
+    for k in [k for k in lit if "snow=yes" not in room_states.parse_state(states[k])] or lit:
+        by_state.setdefault(room_states.cover_state(states[k]), []).append(k)
     captured = replace(captured, light=replace(captured.light, states=None))
     first = "" if "" in by_state else max(by_state, key=lambda state: len(by_state[state]))
     pose = pose_of_discs(partly_hidden(discs, captured), site, heading_deg)
@@ -160,7 +158,7 @@ def partly_hidden(discs: MeasuredDiscs, captured: Captured) -> MeasuredDiscs:
     # share of the beam that a disc in full view has behind the pane
     full = CLEAR_GLASS if measured.sum() < MIN_DISCS else min(shares[measured].max(), CLEAR_GLASS)
     hidden = np.where(measured, np.clip(1.0 - shares / full, 0.0, 1.0), 0.0)
-    moved_deg = 0.87 * np.degrees(SUN_RADIUS_RAD) * hidden
+    moved_deg = 0.87 * np.degrees(sun_disc.SUN_RADIUS_RAD) * hidden
     return replace(discs, sigma_deg=np.hypot(discs.sigma_deg, moved_deg))
 
 
@@ -273,7 +271,7 @@ def _stack(
         values = np.where(np.isnan(values) & in_lens, 0.5 * picture.dark_cdm2, values)
         luminance[n] = np.where(np.isinf(values), np.nan, values)[kept]  # infinite: clipped
     usually = np.zeros(kept.shape) if usual is None else np.nan_to_num(usual.high)
-    inside, row, column = grid.indices(reinhart_patches().directions)
+    inside, row, column = grid.indices(perez.reinhart_patches().directions)
     other = np.flatnonzero(~inside | ~kept[row, column])
     if captured.elsewhere_cdm2 is None:
         other = other[:0]
@@ -373,7 +371,7 @@ def _reference(stack: _Stack, rays: Floats, pose: CameraPose) -> SkyReference:
     rays: true directions of the pixels kept [p, 3]; pose: of the camera.
     """
     step = max(1, len(rays) // (10 * sky_directions.SOME))  # every step-th direction is enough
-    patches = reinhart_patches()
+    patches = perez.reinhart_patches()
     others = pose.true_directions(patches.directions[stack.elsewhere])
     altitude = np.arcsin(np.clip(rays[::step, 2], -1.0, 1.0))
     size_sr = step * np.radians(stack.grid.step_deg) ** 2
@@ -514,7 +512,7 @@ def _seasonal_ratios(
         stack.luminance_cdm2[rows] / np.maximum(stack.light[rows].sky_at(rays), 1e-3)
         for rows, _ in seasons
     )
-    usual = np.array([nan_percentiles(ratio, (50.0,))[0] for ratio in by_perez])
+    usual = np.array([statistics.nan_percentiles(ratio, (50.0,))[0] for ratio in by_perez])
     # real skies of a season are within 40 % of Perez's
     differs = usual.min(axis=0) < 0.7 * usual.max(axis=0)
     likely = differs & (usual.max(axis=0) > 0.7 * pane)
@@ -598,7 +596,7 @@ def _notes_on_level(level: float, stack: _Stack) -> list[str]:
         return []
     is_impossible = level > _TOO_BRIGHT
     if level < _TOO_DARK and not stack.dark.any():
-        usual = nan_percentiles(stack.luminance_cdm2, (50.0,))[0]
+        usual = statistics.nan_percentiles(stack.luminance_cdm2, (50.0,))[0]
         is_impossible = np.nanmax(usual) > _WINDOW_CONTRAST * np.nanmedian(usual)
     if not is_impossible:
         if not _TOO_DARK < level < _CLEAR_GLASS:
@@ -769,7 +767,7 @@ def _corrected(view: SkyView, captured: Captured) -> tuple[SkyView, dict[datetim
     """
     light, rays, contradictions = captured.light, view.grid.rays(), {}
     arrays = {name: getattr(view, name).copy() for name in ("openness", "low", "high")}
-    disc_deg = np.degrees(SUN_RADIUS_RAD) + 0.5 * view.grid.step_deg
+    disc_deg = np.degrees(sun_disc.SUN_RADIUS_RAD) + 0.5 * view.grid.step_deg
     for k, sun in enumerate(view.pose.in_pictures(light.apparent_sun_direction)):
         share = captured.disc_share[k]
         off_deg = np.degrees(np.arccos(np.clip(rays @ sun, -1.0, 1.0)))
