@@ -283,7 +283,13 @@ def _flat_places(
     what = f"{paths[0].parent}: even places exposed well (JPEG codes {LOW} to {HIGH}) by two frames"
     require(len(flat), 50, what, "use steps of at most 2 EV, and picture walls and sky")
     brightness = codes[:, flat, 1].mean(axis=0) + rng.uniform(0, 1e-3, len(flat))
-    chosen = _spread_indices(brightness, min(500, len(flat)))  # more did not change the table
+    # Half of the chosen places is spread evenly over the levels. Otherwise there would be too few
+    # bright places, which are the only ones that short frames show.
+    order, count = np.argsort(brightness), min(500, len(flat))  # more did not change the table
+    wanted = np.linspace(brightness.min(), brightness.max(), count // 2)
+    even = np.minimum(np.searchsorted(brightness[order], wanted), len(flat) - 1)
+    ranks = np.linspace(0, len(flat) - 1, count - len(np.unique(even))).astype(int)
+    chosen = order[np.union1d(even, ranks)]
     valid, unevenness = valid[:, flat], np.where(valid, spread, 0)[:, flat].max(axis=0)
     for first, second in pairwise(np.argsort([e.shutter_s * e.iso for e in exposures])):
         in_both = valid[first] & valid[second]
@@ -323,19 +329,6 @@ def _noise_spread(spread: UInts8, level: UInts8) -> Floats:
         quiet = [float(np.quantile(values, 0.25)) for values in of_frames if len(values) >= 200]
         limit[first : first + 32] = max(9.0, 1.5 * min(quiet, default=0.0))
     return limit
-
-
-def _spread_indices(level: Floats, count: int) -> Indices:
-    """Return at most `count` indices of `level` [n], spread over levels and over places.
-
-    Half is spread evenly over the levels. Otherwise there would be too few bright places, which are
-    the only ones that short frames show.
-    """
-    order = np.argsort(level)
-    wanted = np.linspace(level.min(), level.max(), count // 2)
-    even = np.minimum(np.searchsorted(level[order], wanted), len(level) - 1)
-    ranks = np.linspace(0, len(level) - 1, count - len(np.unique(even))).astype(int)
-    return order[np.union1d(even, ranks)]
 
 
 # ----------------------------------------------------------------------------------------------

@@ -64,7 +64,12 @@ def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> 
     clocks: list[tuple[Sequence[Group], Offset]] = []
     notes: list[str] = []
     refused: list[InputError] = []
-    for part in _parts_of_one_clock(groups, slots, utc_offset_s, setup.site.timezone):
+    parts, zone = match_card.split_at_gaps(groups), setup.site.timezone  # campaigns
+    if utc_offset_s is None and slots:  # divided where the fit to the plan shows a changed clock
+        is_utc = match_card.exif_states_offset
+        pieces = ([p] if is_utc(p) else match_card.clock_parts(p, slots, zone) for p in parts)
+        parts = list(chain.from_iterable(pieces))
+    for part in parts:
         try:
             offset = match_card.clock_offset(part, slots, setup, utc_offset_s)
         # One campaign has a wrong date, or brackets of another plan; others can still be imported.
@@ -124,24 +129,6 @@ def _brackets(
         raise NotEnoughDataError(f"{folder}: no usable frame; {left_out[0]}; {remedy}")
     exposures = slots[0].exposures if slots else ()
     return match_card.group_frames(frames, exposures, max(1, len(setup.camera.headings))), left_out
-
-
-def _parts_of_one_clock(
-    groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None, zone: str
-) -> list[list[Group]]:
-    """Split the brackets where the camera's clock may have been set; return the parts.
-
-    groups: brackets in order of the camera's clock; slots: of the plan; utc_offset_s: the offset
-    that the user states [s], None if none; zone: IANA name of the place. Parts are campaigns; one
-    whose clock is not stated is split further where its fit to the plan shows that the clock was
-    set.
-    """
-    parts = match_card.split_at_gaps(groups)
-    if utc_offset_s is not None or not slots:
-        return parts
-    is_utc = match_card.exif_states_offset
-    pieces = ([p] if is_utc(p) else match_card.clock_parts(p, slots, zone) for p in parts)
-    return list(chain.from_iterable(pieces))
 
 
 def planned_frames(group: Group, slot: Slot, setup: CameraSetup) -> list[FrameRequest]:

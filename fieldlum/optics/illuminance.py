@@ -9,20 +9,6 @@ from fieldlum.core.records import Panorama, SunSource
 from fieldlum.optics import projection
 
 
-def _cosine_weights(height: int, width: int, heading_deg: float, normal: Floats) -> Floats:
-    """Return the integral of the cosine to a plane's normal over each pixel, [H, W] in sr.
-
-    height, width, heading_deg: of a panorama; normal: unit vector (east, north, up). The result is
-    0 behind the plane. Each pixel is divided into at least four, which count by their centre.
-    """
-    # At least 128 rows: the sum over a hemisphere is then pi to 0.01 %.
-    fine = max(2, -(-128 // height))
-    size = (height * fine, width * fine)
-    inside = np.maximum(projection.equirect_rays(*size, heading_deg) @ normal, 0.0)
-    inside *= projection.row_solid_angles(*size)[:, None]
-    return inside.reshape(height, fine, width, fine).sum(axis=(1, 3))
-
-
 def illuminance_lx(
     luminance_cdm2: Floats,
     heading_deg: float,
@@ -40,7 +26,13 @@ def illuminance_lx(
     values = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
     height, width = values.shape
     normal = projection.direction(normal_altitude_deg, normal_azimuth_deg)
-    total = float((values * _cosine_weights(height, width, heading_deg, normal)).sum())
+    # Each pixel is divided into at least four, which count by their centre, and the panorama into
+    # at least 128 rows: the sum of the weights [sr] over a hemisphere is then pi to 0.01 %.
+    fine = max(2, -(-128 // height))
+    size = (height * fine, width * fine)
+    cosines = np.maximum(projection.equirect_rays(*size, heading_deg) @ normal, 0.0)
+    cosines *= projection.row_solid_angles(*size)[:, None]
+    total = float((values * cosines.reshape(height, fine, width, fine).sum(axis=(1, 3))).sum())
     if sun is not None:
         cosine = float(projection.direction(sun.altitude_deg, sun.azimuth_deg) @ normal)
         total += sun.normal_illuminance_lx * max(cosine, 0.0)

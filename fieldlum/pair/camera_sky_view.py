@@ -120,25 +120,18 @@ def write_sky_view(
     except NotEnoughDataError:
         session.sky_view.unlink(missing_ok=True)
         return None
-    view = replace(view, inputs=inputs, notes=(*view.notes, *_notes_on_heading(captures, light)))
+    places = {k: at for k, capture in enumerate(captures) if (at := capture.sun_at_deg) is not None}
+    suns = np.stack([light.apparent_altitude_deg, light.sun_azimuth_deg], axis=1)[[*places]]
+    height = len(captures[0].seen) if captures[0].seen is not None else 1
+    wrong = picture_axes.wrong_axes(suns, [*places.values()], captures[0].heading_deg, height)
+    notes = [f"WARNING: {wrong.found}: {wrong.remedy}"] if wrong and wrong.sure else []
+    view = replace(view, inputs=inputs, notes=(*view.notes, *notes))
     view.write(session.sky_view)
     suns = view.pose.in_pictures(light.apparent_sun_direction[shares != 0.0])
     overcast = captures[int(np.argmax(light.dhi_wm2 - light.dni_wm2))].slot
     picture = session.sky_view.with_suffix(".png")
     draw(picture, view, images.read_panorama(session.panorama(overcast)), suns)
     return view
-
-
-def _notes_on_heading(captures: Sequence[Shown], light: Light) -> list[str]:
-    """Return a warning if several panoramas show the sun at another place than it has, or [].
-
-    light: outside at the captures.
-    """
-    shown = {k: at for k, capture in enumerate(captures) if (at := capture.sun_at_deg) is not None}
-    suns = np.stack([light.apparent_altitude_deg, light.sun_azimuth_deg], axis=1)[[*shown]]
-    height = len(captures[0].seen) if captures[0].seen is not None else 1
-    wrong = picture_axes.wrong_axes(suns, [*shown.values()], captures[0].heading_deg, height)
-    return [f"WARNING: {wrong.found}: {wrong.remedy}"] if wrong and wrong.sure else []
 
 
 def is_outdated(session: Session, view: SkyView) -> bool:

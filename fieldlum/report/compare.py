@@ -225,19 +225,6 @@ def _compare_pictures(session: Session, model: Path, out: Path) -> Comparison:
     return Comparison(surfaces, [], text, _write(out, rows, picture))
 
 
-def _sector_names(height: int, heading_deg: float) -> Array:
-    """Return the sector of each pixel of a panorama [H, 2H]: "N", "NE" ..., "above" or "below".
-
-    The names replace those of surfaces if no box room is known. Above and below begin at an
-    altitude of 45 degrees.
-    """
-    rays = projection.equirect_rays(height, 2 * height, heading_deg)
-    altitude_deg, azimuth_deg = projection.altitude_azimuth_deg(rays)
-    sectors = np.array(["N", "NE", "E", "SE", "S", "SW", "W", "NW"], object)
-    around = sectors[np.round(azimuth_deg / 45.0).astype(int) % 8]
-    return np.where(altitude_deg > 45.0, "above", np.where(altitude_deg < -45.0, "below", around))
-
-
 def _on_one_grid(
     capture_file: Path, model_file: Path, room: Room | None
 ) -> tuple[Array, Floats, Floats, Floats]:
@@ -267,9 +254,15 @@ def _on_one_grid(
     if not (weight * light[at]).sum() > 0.0 or not (weight * model_light).sum() > 0.0:
         found, expected = "no light in the capture's directions", "the same directions in cd/m2"
         raise InputError(model_file, found, expected, "check VIEW, north (y axis) and unit")
-    names = _sector_names(height, heading_deg)
     if room is not None and room.kind == "box":
         names = surface_names(room, height, heading_deg)
+    else:  # sectors of the sky's directions, above and below 45 degrees of altitude one name each
+        pixels = projection.equirect_rays(height, 2 * height, heading_deg)
+        altitude_deg, azimuth_deg = projection.altitude_azimuth_deg(pixels)
+        sectors = np.array(["N", "NE", "E", "SE", "S", "SW", "W", "NW"], object)
+        names = sectors[np.round(azimuth_deg / 45.0).astype(int) % 8]
+        names = np.where(altitude_deg < -45.0, "below", names)
+        names = np.where(altitude_deg > 45.0, "above", names)
     return names[at], light[at], model_light, weight
 
 

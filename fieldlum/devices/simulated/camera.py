@@ -49,15 +49,6 @@ def camera_from_scene(profile: CameraProfile) -> Floats:
     return np.tile(np.asarray(images.RADIANCE_Y) / sum(colour.y_from_rgb), (3, 1))
 
 
-def camera_channels(scene: Floats32, profile: CameraProfile) -> Floats32:
-    """Return the camera channels of a scene by the profile's colour, in cd/m2, [h, w, 3].
-
-    scene: R, G, B on the sensor, [h, w, 3], or luminance of a grey scene, [h, w, 1], in cd/m2.
-    """
-    matrix = camera_from_scene(profile).astype(np.float32)
-    return scene * matrix.sum(axis=1) if scene.shape[-1] == 1 else scene @ matrix.T
-
-
 def mosaic_of(image: Floats32, cfa: str) -> Floats32:
     """Return the one channel that each pixel has under the Bayer pattern `cfa`, [h, w].
 
@@ -238,7 +229,9 @@ class SimulatedCamera(Camera):
             lenses = (linear_light.lens_geometry(lens, turn_deg) for lens in self._profile.lens)
             sampled = (self._shape, (height, width), grid)
             views = [optics.lens_sampling(lens, *sampled) for lens in lenses]
-            image = camera_channels(optics.on_sensor(panorama, views, self._shape), self._profile)
+            image = optics.on_sensor(panorama, views, self._shape)  # R, G, B, or grey
+            matrix = camera_from_scene(self._profile).astype(np.float32)
+            image = image * matrix.sum(axis=1) if image.shape[-1] == 1 else image @ matrix.T
             if not self._is_jpeg:
                 image = mosaic_of(image, self._profile.sensor.cfa)
             self._last = (panorama, heading_deg, image)

@@ -85,17 +85,6 @@ def mirrored(suns: ArrayLike, normal: ArrayLike) -> Floats:
     return suns - 2.0 * (suns @ normal)[:, None] * normal
 
 
-def ring_around(towards: Floats, angle_rad: float) -> Floats:
-    """Return eight directions at an angle around each of n directions, [8, n, 3].
-
-    towards: unit vectors [n, 3], as the results.
-    """
-    right, up = projection.across_axes(towards)
-    turns = np.arange(8)[:, None, None] * np.pi / 4.0
-    ring = np.cos(turns) * right + np.sin(turns) * up
-    return np.cos(angle_rad) * towards + np.sin(angle_rad) * ring
-
-
 def tolerance_rad(height: int) -> float:
     """Return how far the sun's image in a plane mirror may be from its computed place [rad].
 
@@ -316,8 +305,11 @@ class Mirror:
         towards, cosine = mirrored(suns, self.normal), suns @ self.normal
         # Standard deviation of an image's place over `tolerance_rad`, which no place exceeds
         reach = 0.5 * tolerance_rad(len(self.chance))
-        # The image's own direction first, then eight around it.
-        directions = np.concatenate((towards[None], ring_around(towards, reach)))  # [9, n, 3]
+        right, up = projection.across_axes(towards)
+        turns = np.arange(8)[:, None, None] * np.pi / 4.0
+        ring = np.cos(turns) * right + np.sin(turns) * up
+        around = np.cos(reach) * towards + np.sin(reach) * ring  # [8, n, 3]
+        directions = np.concatenate((towards[None], around))  # the image's own one is the first
         places = flat_pixels(directions, self.chance.shape, heading_deg)
         chances = self.chance.reshape(-1)[places]  # [9, n]
         ahead = (cosine > 0.0) & (light.direct_lx > 0.0) & (suns[:, 2] > 0.0)

@@ -466,15 +466,6 @@ def take_disc_out(
             data.disc_deg[k] = at[0] + disc.altitude_deg - place[0], at[1] + azimuth_off_deg
 
 
-def _with_patches(path: Path, rows: Sequence[PairRow]) -> bool:
-    """Return whether the rows of the file `path` have sun patches; InputError if only some have."""
-    without = [row.line for row in rows if not row.sunpatch]
-    if 0 < len(without) < len(rows):
-        finding = f"line {without[0]}: the cell of column sunpatch is empty, but not in other rows"
-        raise InputError(path, finding, "a sunpatch in all rows or in none", "correct the column")
-    return not without
-
-
 def read_pictures(
     path: Path, rows: list[PairRow], setup: SiteFile, light: Light
 ) -> tuple[Dataset, Mask]:
@@ -493,7 +484,11 @@ def read_pictures(
     shape, heading = first.luminance_cdm2.shape, _heading_deg(first, pictures[0], setup)
     size_and_heading = (shape, heading)  # of all pictures
     maps = np.empty((len(rows), *shape), np.float32)
-    patches = np.empty_like(maps) if _with_patches(path, rows) else None
+    without = [row.line for row in rows if not row.sunpatch]
+    if 0 < len(without) < len(rows):
+        finding = f"line {without[0]}: the cell of column sunpatch is empty, but not in other rows"
+        raise InputError(path, finding, "a sunpatch in all rows or in none", "correct the column")
+    patches = None if without else np.empty_like(maps)
     disc_lx, clipped_count = np.zeros(len(rows)), 0
     masks, counts = np.empty(maps.shape, bool), np.empty(maps.shape, np.float16)
     for k, row in enumerate(rows):

@@ -189,15 +189,10 @@ def _physics_of(setup: SiteFile) -> Physics:
         sky_modes=sky_modes,
         sky_light=lit.pixels_cdm2(lit.columns(sky_modes.T)).T.astype(np.float32),
     )
-    return replace(physics, comparison=physics.comparison / _sunny_norm(physics, setup.site))
-
-
-def _sunny_norm(physics: Physics, site: Site) -> np.float32:
-    """Return the norm of the features per share of direct sun when the sun is in the room.
-
-    It is the third quartile over the clear hours of a year with such sun, 1 without any.
-    """
-    clear = _light_of_year(site, 800.0, 100.0)
+    # Norm of the features per share of direct sun when the sun is in the room: third quartile over
+    # the clear hours of a year with such sun, 1 without any.
+    clear = _light_of_year(setup.site, 800.0, 100.0)
     size = np.linalg.norm(physics.features(clear, physics.sunlight(clear)), axis=1)
     size = size * clear.total_lx / np.maximum(clear.direct_lx, 1.0)
-    return np.float32(np.percentile(size[size > 0.0], 75) if (size > 0.0).any() else 1.0)
+    norm = np.float32(np.percentile(size[size > 0.0], 75) if (size > 0.0).any() else 1.0)
+    return replace(physics, comparison=physics.comparison / norm)

@@ -239,7 +239,11 @@ def _start(
     azimuth_deg = _main_wall(ground, turn_deg, facing)
     distances = _distances(ground @ room_axes(azimuth_deg)[:2, :2].T, where)
     rays = rays @ room_axes(azimuth_deg).T
-    values, corners = [azimuth_deg, *_room_size(rays, clicks, distances, camera_height_m)], []
+    south, west, north, east = distances
+    ceiling = [ray for ray, click in zip(rays, clicks, strict=True) if click.kind == "ceiling"]
+    above_m = [float(np.mean(_factors(ray[:2], distances))) * ray[2] for ray in ceiling]
+    height_m = camera_height_m + float(np.mean(above_m))
+    values, corners = [azimuth_deg, west + east, south + north, height_m, west, south], []
     for ray, click in zip(rays, clicks, strict=True):
         ends = (float(ray[0] > 0), float(ray[1] > 0), float(click.kind == "ceiling"))
         corners.append(_Corner("", 0, ends) if click.kind in ("floor", "ceiling") else None)
@@ -301,19 +305,6 @@ def _distances(xy: Floats, where: str) -> list[float]:
         expected = "three corners of the floor around the camera"
         raise InputError(where, found, expected, "click a floor corner on the other side")
     return [float(part.mean()) for part in parts]
-
-
-def _room_size(
-    rays: Floats, clicks: Sequence[Click], distances: Sequence[float], camera_height_m: float
-) -> tuple[float, float, float, float, float]:
-    """Return width, depth and height of the room, and the camera's x and y, m.
-
-    rays: of the clicks, in room axes [n, 3]; distances: by `_distances`.
-    """
-    south, west, north, east = distances
-    ceiling = [ray for ray, click in zip(rays, clicks, strict=True) if click.kind == "ceiling"]
-    above_m = [float(np.mean(_factors(ray[:2], distances))) * ray[2] for ray in ceiling]
-    return west + east, south + north, camera_height_m + float(np.mean(above_m)), west, south
 
 
 def _factors(xy: Floats, distances: Sequence[float]) -> tuple[float, float]:

@@ -359,7 +359,14 @@ class HourJudge:
             brightest = np.maximum(brightest, seen_cdm2)
         # lowest and highest DGP over possible luminances of the unseen part [k, d]
         minimum, maximum = metrics.unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
-        drawn_ev_lx, drawn_contrast = self._drawn_light(block, figures, discs_lx)
+        # Ev and contrast in m draws [m, k, d] of the sun's visibility and place: in the poses that
+        # `discs_of` draws
+        poses = self._pose.drawn(np.random.default_rng([0, 2]), len(discs_lx))
+        ray = light.apparent_sun_direction
+        suns = np.stack([self._pose.in_pictures(ray, values) for values in poses])
+        disc = (metrics.sun_per_lx(suns, views), discs_lx)
+        of_images = _images(block, views, len(discs_lx))
+        drawn_ev_lx, drawn_contrast = metrics.with_disc(figures, disc, *of_images)
         if melanopic is not None:
             unseen_lx = brightest[:, None] * coverage.unseen_illuminance
             figures |= melanopic.figures(light, figures, u_map_rel, drawn_ev_lx, unseen_lx)
@@ -382,21 +389,6 @@ class HourJudge:
         }
         doubt = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps)
         return HourFigures(hours, figures, doubt)
-
-    def _drawn_light(
-        self, block: HourBlock, figures: dict[str, Floats], discs_lx: Floats
-    ) -> tuple[Floats, Floats]:
-        """Return Ev and contrast of DGP in m draws of the sun's place and visibility, [m, k, d].
-
-        figures: result of `glare` for k hours in d view directions; discs_lx: illuminance of the
-        sun's disc in the draws [m, k].
-        """
-        # the poses that `discs_of` draws
-        poses = self._pose.drawn(np.random.default_rng([0, 2]), len(discs_lx))
-        ray = block.light.apparent_sun_direction
-        suns = np.stack([self._pose.in_pictures(ray, values) for values in poses])
-        disc = (metrics.sun_per_lx(suns, self.views), discs_lx)
-        return metrics.with_disc(figures, disc, *_images(block, self.views, len(discs_lx)))
 
 
 def relative_uncertainty(
