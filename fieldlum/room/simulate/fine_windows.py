@@ -73,7 +73,7 @@ def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:
     s, shows = view.samples, (view.sky + view.plain).ravel() > 0
     shows[s.pixel[s.mirrored | np.isin(s.box, scene.of_kind("frame"))]] = True
     modes = ["nearest", "wrap"]
-    near = maximum_filter(shows.reshape(view.sky.shape), 3, mode=modes)  # pyright: ignore
+    near: Mask = maximum_filter(shows.reshape(view.sky.shape), 3, mode=modes)  # pyright: ignore
     if not near.any():
         return None
     parts = max(1, int(np.ceil(180.0 / view.height / pitch_deg - 1e-9)))
