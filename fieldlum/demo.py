@@ -18,14 +18,12 @@ import numpy as np
 from fieldlum.core.errors import InputError
 from fieldlum.core.progress import progress
 from fieldlum.core.scheduler import Scheduler
-from fieldlum.optics.profiles import shipped
-from fieldlum.optics.projection import compass_name
-from fieldlum.session import Session, open_session
+from fieldlum.optics import profiles, projection
+from fieldlum.session import Session, open_session, site_toml
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.model_files import TrainAnswer
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.journal import EventFields
-from fieldlum.session.site_toml import load_site
 from fieldlum.year import predict
 
 MODEL = "auto"
@@ -61,7 +59,7 @@ def prepare(folder: Path) -> Session:
     """
     from fieldlum import plan
 
-    setup = load_site(shipped("capture_plans") / "seattle-office.toml")
+    setup = site_toml.load_site(profiles.shipped("capture_plans") / "seattle-office.toml")
     if (folder / "session.toml").is_file():
         if open_session(folder).site_file().site != setup.site:
             raise InputError(folder, "a session of another site", "a new folder", "name one")
@@ -158,7 +156,7 @@ def _figures(
     of_truth = f"median error against the truth, {maps} brackets"
     irradiance = f"{dni:.1f}, {dhi:.1f} W/m²"
     error = f"{chosen['log10_mse_weighted']:.2e}"
-    view = f"{compass_name(best.azimuth_deg)}, {best.azimuth_deg:.0f}°"
+    view = f"{projection.compass_name(best.azimuth_deg)}, {best.azimuth_deg:.0f}°"
     return (
         ("merged luminance", f"{100 * median:.2f} %", of_truth),
         ("", f"{100 * within:.1f} %", "of the unflagged pixels within 5 % of the truth"),
@@ -193,7 +191,7 @@ def run(
     from fieldlum.room import simulate
 
     height, quality, budget_min = PRESETS[preset]
-    weather, pool = weather or shipped("capture_plans") / WEATHER, Scheduler(workers)
+    weather, pool = weather or profiles.shipped("capture_plans") / WEATHER, Scheduler(workers)
     seconds: dict[str, float] = {}
 
     @contextmanager

@@ -9,13 +9,12 @@ import pytest
 from test_scene_search import HEIGHT, ROOM, captures
 
 from fieldlum.core.records import Obstruction, Room
-from fieldlum.room.fit.evidence import PIXELS, scene_evidence
+from fieldlum.room.fit.evidence import PIXELS, scene_evidence, skyline_of
 from fieldlum.room.fit.fit import SceneSearch
 from fieldlum.room.fit.guess import Bar, Guess, guess_of, is_outside, is_possible
 from fieldlum.room.fit.proposals import BARS, FURNITURE, KINDS, SHADES, Kind, with_box_outside
 from fieldlum.room.fit.renderer import sky_openness
 from fieldlum.room.fit.search import PRIOR_HOURS, PRIOR_SHARE, prior_unit
-from fieldlum.room.fit.skyline import skyline_of
 from fieldlum.sky.sky_view.picture import SkyGrid
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun import OBLIQUITY_DEG, celestial_pole

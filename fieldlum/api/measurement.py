@@ -18,8 +18,7 @@ from fieldlum.merge import MergeResult
 from fieldlum.optics import images, profiles
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.plan import Plan
-from fieldlum.session import Session, site_toml
-from fieldlum.session.panorama_sun import read_panorama_with_sun
+from fieldlum.session import Session, panorama_sun, site_toml
 from fieldlum.weather import Weather
 from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
 
@@ -141,7 +140,7 @@ def read_panorama(file: str | Path) -> Panorama:
     >>> panorama.luminance_cdm2.shape, panorama.heading_deg
     ((230, 460), 180.0)
     """
-    return read_panorama_with_sun(path_of(file))
+    return panorama_sun.read_panorama_with_sun(path_of(file))
 
 
 def write_panorama(file: str | Path, panorama: Panorama) -> None:

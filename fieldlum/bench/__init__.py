@@ -14,8 +14,7 @@ from fieldlum.core.plot_style import GRID, new_figure, open_axes
 from fieldlum.core.records import JsonTable
 from fieldlum.learn.models.scores import truth
 from fieldlum.learn.train import Trial, choose_model, day_folds
-from fieldlum.session import replacing_path, write_file
-from fieldlum.session.codec import write_csv
+from fieldlum.session import codec, replacing_path, write_file
 
 
 def machine() -> str:
@@ -59,7 +58,7 @@ def store(
 
     rows: with the same keys; draw: called with the path of the chart, which it writes.
     """
-    write_csv(out / f"{name}.csv", rows)
+    codec.write_csv(out / f"{name}.csv", rows)
     with replacing_path(out / f"{name}.png") as path:
         draw(path)
 
@@ -100,7 +99,7 @@ def run(
     parts = [f"## Scores\n\n{markdown(rows)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
     if with_stress:
         stress_rows = _stress(loaded)
-        write_csv(out / "stress.csv", stress_rows)
+        codec.write_csv(out / "stress.csv", stress_rows)
         parts.append(f"## Stress\n\n{markdown(stress_rows)}")
     hours = f"{len(test)} hours of {test.source}" if test else "held-out days"
     head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"

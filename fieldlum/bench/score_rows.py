@@ -13,8 +13,7 @@ import numpy as np
 from fieldlum.core.errors import InputError, NotEnoughDataError, did_you_mean
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable
-from fieldlum.learn import models
-from fieldlum.learn.model_kinds import MODELS
+from fieldlum.learn import model_kinds, models
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.scores import Truth, evaluate, summary
 from fieldlum.learn.models.training_data import Dataset, load_pairs, with_sky_view
@@ -58,7 +57,7 @@ def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
 def _parse_spec(text: str) -> Spec:
     """Return the model that a text such as transport:none, or the path of a folder, names."""
     name, _, patch = text.partition(":")
-    if name in MODELS and patch in ("", *get_args(Patch)):
+    if name in model_kinds.MODELS and patch in ("", *get_args(Patch)):
         return Spec(text, name, cast(Patch, patch or "absolute"))
     folder = Path(text)
     if (folder / "config.json").is_file():
@@ -66,9 +65,9 @@ def _parse_spec(text: str) -> Spec:
         of_patch = "" if config.patch == "absolute" else f":{config.patch}"
         label = f"{config.model}{of_patch} ({folder.name})"
         return Spec(label, config.model, cast(Patch, config.patch), folder)
-    names = f"{', '.join(MODELS)}, alone or with :absolute (default), :gain, :none"
+    names = f"{', '.join(model_kinds.MODELS)}, alone or with :absolute (default), :gain, :none"
     found, expected = f"the unknown name '{text}'", f"{names}; or a model folder"
-    remedy = f"correct the name after --models{did_you_mean(name, MODELS)}"
+    remedy = f"correct the name after --models{did_you_mean(name, model_kinds.MODELS)}"
     raise InputError("--models", found, expected, remedy)
 
 

@@ -19,8 +19,7 @@ from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.strict_csv import lines_of, read_number, read_text
-from fieldlum.optics import melanopic
-from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz
+from fieldlum.optics import images, melanopic
 from fieldlum.optics.profiles import CameraProfile, Colour
 
 # Weights of the prior relative to one reading, from strong to weak, of which held-out readings
@@ -183,20 +182,6 @@ def from_chart(
 # fit
 
 
-def _priors(colours: Colours, profile: CameraProfile) -> dict[str, Floats]:
-    """Return the coefficients [3] of R, G, B in luminance towards which a fit may pull, by name.
-
-    These are the profile's y_from_rgb and, if the frames state a colour matrix, the Y row of its
-    inverse (camera to XYZ), scaled to give the mean colour of the readings the same luminance.
-    """
-    own = np.array(profile.colour.y_from_rgb)
-    starts = {"the profile's coefficients": own}
-    if colours.matrix is not None:
-        row, grey = np.linalg.inv(colours.matrix)[1], colours.rgb.mean(axis=0)
-        starts["the file's colour matrix"] = row * float(own @ grey) / float(row @ grey)
-    return starts
-
-
 def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     """Fit the coefficients of R, G, B in luminance by ridge regression towards a prior.
 
@@ -212,7 +197,13 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     if min(colours.y.min(), colours.rgb[:, 1].min()) <= 0:
         remedy = "remove its line from the csv, or use a frame with a longer exposure"
         raise InputError(source, "a reading or a patch of 0 or less", "values above 0", remedy)
-    starts, every = _priors(colours, profile), colours
+    # towards which the fit may pull: also the Y row of the frames' matrix from camera to XYZ,
+    # scaled to give the mean colour of the readings the same luminance
+    own, every = np.array(profile.colour.y_from_rgb), colours
+    starts = {"the profile's coefficients": own}
+    if colours.matrix is not None:
+        row, grey = np.linalg.inv(colours.matrix)[1], colours.rgb.mean(axis=0)
+        starts["the file's colour matrix"] = row * float(own @ grey) / float(row @ grey)
     colours, left_out = _without_outliers(colours, list(starts.values()))
     (prior, _), raw, choice = fit_steps.fit_and_choose(
         "colour",
@@ -369,7 +360,7 @@ def with_melanopic(
     spectrometer; ValueError as `chart_xyz`.
     """
     # `origin`: the weights of X, Y, Z and their relative uncertainty, by where the colours are from
-    origin, to_xyz = melanopic.BY_MATRIX, rgb_to_xyz(RADIANCE_CHROMATICITIES)
+    origin, to_xyz = melanopic.BY_MATRIX, images.rgb_to_xyz(images.RADIANCE_CHROMATICITIES)
     if cct_k is not None and colours.of_chart:
         xyz, origin = xyz_from_chart(colours.rgb, colour.y_from_rgb, cct_k), melanopic.BY_CHART
         line = f"melanopic: chart under daylight of {cct_k:g} K"

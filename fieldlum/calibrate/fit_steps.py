@@ -21,14 +21,11 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Exposure, Flag, Panorama
 from fieldlum.core.statistics import held_out_masks, is_no_worse, robust_sigma, standard_error
-from fieldlum.optics import linear_light
-from fieldlum.optics.camera_curves import linearity_factor, vignetting_at
-from fieldlum.optics.images import calibration_mark
+from fieldlum.optics import camera_curves, images, linear_light
 from fieldlum.optics.profiles import CameraProfile, Lens, save_profile
 from fieldlum.optics.projection import angle_of_radius, direction, equirect_rays, relative_radius
 from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, read_jpeg, read_mosaic
-from fieldlum.session import sha256
-from fieldlum.session.panorama_sun import read_panorama_with_sun
+from fieldlum.session import panorama_sun, sha256
 from fieldlum.version import __version__
 
 Model = TypeVar("Model")
@@ -324,7 +321,7 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
         cell = plane.astype(np.float32)
         bad |= cell > CLIPPED_SHARE * top
         share = (cell - black) / np.float32(profile.sensor.white_dn - black)
-        shares.append(share * linearity_factor(share, profile.sensor.linearity))
+        shares.append(share * camera_curves.linearity_factor(share, profile.sensor.linearity))
     z = np.stack([shares[0], (shares[1] + shares[2]) / 2, shares[3]], axis=-1)
     rgb = z / linear_light.frame_z_per_cdm2(mosaic.exposure, profile)
     return LinearFrame(path, rgb.astype(np.float32), bad, 2, mosaic.exposure, mosaic.colour_matrix)
@@ -355,7 +352,7 @@ def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: flo
     """
     lens = profile.lens[nearest_lens(profile, x_px, y_px)]
     coefficients, _ = linear_light.vignetting_of(lens, f_number)
-    return float(vignetting_at(coefficients, relative_angle(lens, x_px, y_px)))
+    return float(camera_curves.vignetting_at(coefficients, relative_angle(lens, x_px, y_px)))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -371,9 +368,9 @@ def read_panoramas(
     `pair` computed, if any. Raises InputError for a panorama that cannot be read, or was merged
     with another calibration than the profile's.
     """
-    own, pictures = calibration_mark(profile)["calibration"], {}
+    own, pictures = images.calibration_mark(profile)["calibration"], {}
     for file in dict.fromkeys(row["panorama"] for row in rows):
-        pictures[file] = read_panorama_with_sun(file)
+        pictures[file] = panorama_sun.read_panorama_with_sun(file)
         attributes = pictures[file].attributes
         if attributes.get("calibration", own) != own:
             finding = f"merged with another calibration ({attributes.get('camera')})"

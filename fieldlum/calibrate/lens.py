@@ -128,11 +128,6 @@ def level_lens(lens: Lens) -> Lens:
     return replace(lens, **dict.fromkeys(_POSE, 0.0))
 
 
-def _pose_of(lens: Lens) -> dict[str, float]:
-    """Return azimuth, tilt and roll of a lens, by field [deg]."""
-    return {name: getattr(lens, name) for name in _POSE}
-
-
 def _solve(
     start: Lens,
     model: Model,
@@ -255,7 +250,7 @@ def _rotation_between(directions: Array, true: Array) -> tuple[float, Any]:
 def _rounded(lens: Lens) -> Lens:
     """Return a fitted lens with the digits that a profile has, and angles within 180 degrees."""
     x, y = np.round(lens.centre_px, 3).tolist()
-    pose = {name: round((angle + 180) % 360 - 180, 4) for name, angle in _pose_of(lens).items()}
+    pose = {name: round((getattr(lens, name) + 180) % 360 - 180, 4) for name in _POSE}
     terms = tuple(np.round(lens.coefficients, 7).tolist())
     radius_px = round(lens.radius_px, 3)
     return replace(lens, centre_px=(x, y), radius_px=radius_px, coefficients=terms, **pose)
@@ -319,7 +314,7 @@ def fit_boards(
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
     text = f"residual of the corners {rms:.2f} px rms, uncertainty of the centre {u_px:.2f} px"
     choice = replace(start.choice, rms=rms, line=f"{start.choice.line}; {text}")
-    new = replace(_rounded(fitted), **_pose_of(lens))
+    new = replace(_rounded(fitted), **{name: getattr(lens, name) for name in _POSE})
     return start._replace(lens=new, choice=choice), targets
 
 

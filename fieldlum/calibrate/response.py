@@ -15,12 +15,10 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.progress import part_of_progress, progress
 from fieldlum.core.records import Exposure
 from fieldlum.core.statistics import median_standard_error, robust_sigma
+from fieldlum.optics import linear_light, projection, raw
 from fieldlum.optics.camera_curves import dark_floor, fit_response, response_table
 from fieldlum.optics.exposure import ShutterLaw, stated_law
-from fieldlum.optics.linear_light import check_frame, true_shutter_s
 from fieldlum.optics.profiles import CameraProfile, Response
-from fieldlum.optics.projection import relative_radius
-from fieldlum.optics.raw import frame_files, is_jpeg, read_jpeg
 
 # Codes that count for the residual, and have weight in a merge: the profile's defaults.
 LOW, HIGH = Response().low_code, Response().high_code
@@ -202,7 +200,7 @@ def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
     single = [path for path in paths if path.is_file()]
     brackets = [single] if single else []
     for folder in (path for path in paths if not path.is_file()):
-        brackets.append([p for p in frame_files(folder) if is_jpeg(p)])
+        brackets.append([p for p in raw.frame_files(folder) if raw.is_jpeg(p)])
         if not brackets[-1]:
             expected = "a folder with the frames of one bracket"
             raise InputError(folder, "no JPEG frames", expected, "check the path of the folder")
@@ -228,7 +226,7 @@ def sample(
     law = stated_law(nominal_s, profile.shutter_law, profile.camera.model)
     lawful, axes = replace(profile, shutter_law=law.law), []
     for (_, exposures), paths in zip(parts, brackets, strict=True):
-        iso_s = [true_shutter_s(e.shutter_s, lawful)[0] * e.iso for e in exposures]
+        iso_s = [linear_light.true_shutter_s(e.shutter_s, lawful)[0] * e.iso for e in exposures]
         axes.append(np.round(np.log(iso_s), 4))  # of each frame of the bracket
         if (count := len(np.unique(np.round(axes[-1], 3)))) < 3:
             finding = f"{len(exposures)} frames with {count} different exposures"
@@ -261,14 +259,14 @@ def _flat_places(
     height, width = profile.camera.height_px, profile.camera.width_px
     step = max(3, int(np.ceil(np.sqrt(height * width / 2_000_000))))  # px between places
     y, x = np.mgrid[1 : height - 1 : step, 1 : width - 1 : step]
-    at = [relative_radius(lens, x + 0.5, y + 0.5) for lens in profile.lens]
+    at = [projection.relative_radius(lens, x + 0.5, y + 0.5) for lens in profile.lens]
     inside = np.min(at, axis=0) < 0.95
     y, x = y[inside], x[inside]
     levels, spreads, exposures = [], [], []
     for number, path in enumerate(paths):
         progress(number, len(paths), f"reading {path.name}")
-        frame = read_jpeg(path, camera_pixels=profile.camera.pixels)
-        check_frame(path, frame.codes.shape, frame.model, profile)
+        frame = raw.read_jpeg(path, camera_pixels=profile.camera.pixels)
+        linear_light.check_frame(path, frame.codes.shape, frame.model, profile)
         exposures.append(frame.exposure)
         if frame.exposure.f_number != exposures[0].f_number:
             finding = f"f/{frame.exposure.f_number:g}, but the first frame has another aperture"
@@ -285,7 +283,13 @@ def _flat_places(
     what = f"{paths[0].parent}: even places exposed well (JPEG codes {LOW} to {HIGH}) by two frames"
     require(len(flat), 50, what, "use steps of at most 2 EV, and picture walls and sky")
     brightness = codes[:, flat, 1].mean(axis=0) + rng.uniform(0, 1e-3, len(flat))
-    chosen = _spread_indices(brightness, min(500, len(flat)))  # more did not change the table
+    # Half of the chosen places is spread evenly over the levels. Otherwise there would be too few
+    # bright places, which are the only ones that short frames show.
+    order, count = np.argsort(brightness), min(500, len(flat))  # more did not change the table
+    wanted = np.linspace(brightness.min(), brightness.max(), count // 2)
+    even = np.minimum(np.searchsorted(brightness[order], wanted), len(flat) - 1)
+    ranks = np.linspace(0, len(flat) - 1, count - len(np.unique(even))).astype(int)
+    chosen = order[np.union1d(even, ranks)]
     valid, unevenness = valid[:, flat], np.where(valid, spread, 0)[:, flat].max(axis=0)
     for first, second in pairwise(np.argsort([e.shutter_s * e.iso for e in exposures])):
         in_both = valid[first] & valid[second]
@@ -325,19 +329,6 @@ def _noise_spread(spread: UInts8, level: UInts8) -> Floats:
         quiet = [float(np.quantile(values, 0.25)) for values in of_frames if len(values) >= 200]
         limit[first : first + 32] = max(9.0, 1.5 * min(quiet, default=0.0))
     return limit
-
-
-def _spread_indices(level: Floats, count: int) -> Indices:
-    """Return at most `count` indices of `level` [n], spread over levels and over places.
-
-    Half is spread evenly over the levels. Otherwise there would be too few bright places, which are
-    the only ones that short frames show.
-    """
-    order = np.argsort(level)
-    wanted = np.linspace(level.min(), level.max(), count // 2)
-    even = np.minimum(np.searchsorted(level[order], wanted), len(level) - 1)
-    ranks = np.linspace(0, len(level) - 1, count - len(np.unique(even))).astype(int)
-    return order[np.union1d(even, ranks)]
 
 
 # ----------------------------------------------------------------------------------------------

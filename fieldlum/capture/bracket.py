@@ -14,10 +14,9 @@ from fieldlum.capture.steady_clock import SteadyClock
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, Exposure, Slot
 from fieldlum.devices import Camera, IlluminanceMeter
-from fieldlum.session import Session, disk_is_full, sha256, sync_folder
+from fieldlum.session import Session, disk_is_full, safe_paths, sha256, sync_folder
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields, interval_of
 from fieldlum.session.folder import DeviceTable
-from fieldlum.session.safe_paths import link_on_the_way
 from fieldlum.session.slot_states import SlotState
 
 # After a longer pause between two frames the light may have changed. Not measured.
@@ -100,7 +99,7 @@ class BracketCapture:
 
         After a failure, try again until the deadline.
         """
-        if (link := link_on_the_way(self.session.root, self.folder)) is not None:
+        if (link := safe_paths.link_on_the_way(self.session.root, self.folder)) is not None:
             return self.abort(f"{link} is a symbolic link: replace it by a folder")
         _delete_temporary_files(self.folder)
         times_full = 0  # failures because the disk was full
@@ -149,7 +148,7 @@ class BracketCapture:
         Its frames remain; capture.json records whether they are all that were planned.
         """
         frames = self.state.frames
-        if link_on_the_way(self.session.root, self.folder) is None:
+        if safe_paths.link_on_the_way(self.session.root, self.folder) is None:
             _delete_temporary_files(self.folder)
             if frames:
                 with suppress(OSError):  # the journal has the same content

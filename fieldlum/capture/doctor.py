@@ -16,10 +16,8 @@ from fieldlum.core.progress import progress
 from fieldlum.core.records import IrradianceSample, JsonTable, Site, Slot, listed
 from fieldlum.devices.awake import kept_awake
 from fieldlum.devices.clock import Clock
-from fieldlum.optics import profiles
-from fieldlum.optics.raw import same_model
-from fieldlum.session import DEFAULT_GRACE_S, Session, check_writable, sha256
-from fieldlum.session.journal import damage_text, damaged_lines
+from fieldlum.optics import profiles, raw
+from fieldlum.session import DEFAULT_GRACE_S, Session, check_writable, journal, sha256
 from fieldlum.session.slot_states import captured_ids, slots_ahead, without_capture
 from fieldlum.sky import sun
 
@@ -174,7 +172,7 @@ def check_journal(session: Session) -> Iterator[Finding]:
 
     Raises OSError if the journal cannot be read.
     """
-    if text := damage_text(damaged_lines(session)):
+    if text := journal.damage_text(journal.damaged_lines(session)):
         remedy = "what they recorded is lost: restore the journal from a copy if there is one"
         yield warn("journal", f"{text}; {remedy}")
 
@@ -289,7 +287,7 @@ def judge_model(info: devices.CameraInfo, profile: profiles.CameraProfile) -> It
     """
     model, body = info.model, profile.camera
     is_known = model and body.model and info.kind != "sim"
-    if is_known and not same_model(model, body.model):
+    if is_known and not raw.same_model(model, body.model):
         text = f"{model} is not the camera of profile {body.name} ({body.model}), for which the "
         text += f"exposures were planned: use a profile of the {model}, and plan again"
         yield warn("profile", text)

@@ -11,16 +11,14 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from fieldlum.capture import match_card
+from fieldlum.capture import import_logger, match_card
 from fieldlum.capture.bracket import FrameRequest, frame_requests, write_capture
-from fieldlum.capture.import_logger import import_rows
 from fieldlum.capture.match_card import CardFrame, Clocks, Group, Match, Offset, Report
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot, listed
 from fieldlum.optics.profiles import CameraBody, load_camera_profile
-from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
-from fieldlum.optics.raw.exif import tags_of, text_of
+from fieldlum.optics.raw import RAW_SUFFIXES, exif, is_jpeg, jpeg_size, read_exif, same_model
 from fieldlum.session import Journal, Session, exposure_text, replacing_path, sha256, sole_user
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.folder import DeviceTable, update_session
@@ -49,7 +47,7 @@ def run(
         rows, report = Report(), Report()
         if logger is not None:
             offset_s = utc_offset_s if logger_utc_offset_s is None else logger_utc_offset_s
-            rows = import_rows(session, logger, offset_s, **of_logger)
+            rows = import_logger.import_rows(session, logger, offset_s, **of_logger)
         if folder is not None:
             report = _import_card(session, folder, utc_offset_s)
     left_out, notes = (*report.left_out, *rows.left_out), (*report.notes, *rows.notes)
@@ -66,7 +64,12 @@ def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> 
     clocks: list[tuple[Sequence[Group], Offset]] = []
     notes: list[str] = []
     refused: list[InputError] = []
-    for part in _parts_of_one_clock(groups, slots, utc_offset_s, setup.site.timezone):
+    parts, zone = match_card.split_at_gaps(groups), setup.site.timezone  # campaigns
+    if utc_offset_s is None and slots:  # divided where the fit to the plan shows a changed clock
+        is_utc = match_card.exif_states_offset
+        pieces = ([p] if is_utc(p) else match_card.clock_parts(p, slots, zone) for p in parts)
+        parts = list(chain.from_iterable(pieces))
+    for part in parts:
         try:
             offset = match_card.clock_offset(part, slots, setup, utc_offset_s)
         # One campaign has a wrong date, or brackets of another plan; others can still be imported.
@@ -126,24 +129,6 @@ def _brackets(
         raise NotEnoughDataError(f"{folder}: no usable frame; {left_out[0]}; {remedy}")
     exposures = slots[0].exposures if slots else ()
     return match_card.group_frames(frames, exposures, max(1, len(setup.camera.headings))), left_out
-
-
-def _parts_of_one_clock(
-    groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None, zone: str
-) -> list[list[Group]]:
-    """Split the brackets where the camera's clock may have been set; return the parts.
-
-    groups: brackets in order of the camera's clock; slots: of the plan; utc_offset_s: the offset
-    that the user states [s], None if none; zone: IANA name of the place. Parts are campaigns; one
-    whose clock is not stated is split further where its fit to the plan shows that the clock was
-    set.
-    """
-    parts = match_card.split_at_gaps(groups)
-    if utc_offset_s is not None or not slots:
-        return parts
-    is_utc = match_card.exif_states_offset
-    pieces = ([p] if is_utc(p) else match_card.clock_parts(p, slots, zone) for p in parts)
-    return list(chain.from_iterable(pieces))
 
 
 def planned_frames(group: Group, slot: Slot, setup: CameraSetup) -> list[FrameRequest]:
@@ -354,7 +339,7 @@ def read_card(
         t_camera -= timedelta() if own_clock or offset is None else offset
         camera = info.model or info.make or "a camera that EXIF does not name"
         # BodySerialNumber (EXIF 2.3) distinguishes two bodies of one model.
-        serial = text_of(tags_of(path), 42033)
+        serial = exif.text_of(exif.tags_of(path), 42033)
         frames.append(CardFrame(path, info.exposure, t_camera, offset_s, camera, serial))
     return frames, left_out
 

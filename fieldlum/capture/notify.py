@@ -23,10 +23,8 @@ from fieldlum.capture.runner import Live
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.files import read_bytes
 from fieldlum.core.records import parse_utc
-from fieldlum.session import Session
+from fieldlum.session import Session, safe_paths, slot_states
 from fieldlum.session.journal import EventFields
-from fieldlum.session.safe_paths import link_on_the_way
-from fieldlum.session.slot_states import SETTLED
 
 FIRST_PAUSE_S, MAX_PAUSE_S = 30.0, 900.0  # for services that limit requests; a quarter of an hour
 
@@ -264,7 +262,7 @@ class Alerts:
         event, t_utc, fields: name, time and further fields of the event. Also send a heartbeat if
         the event settles a slot (done, missed, aborted).
         """
-        if event in SETTLED:
+        if event in slot_states.SETTLED:
             self.beat()
         with self._lock:
             self._new_day(t_utc)
@@ -276,7 +274,7 @@ class Alerts:
                 if self._last.pop(f"{device} is lost", None):
                     body = f"{device} did not answer for {_minutes(t_utc - since)}."
                     self._send(f"{device} is back", body)
-            elif event in SETTLED:
+            elif event in slot_states.SETTLED:
                 self._outcome(event, t_utc, fields)
             elif event == "clock-step":
                 follows = "follows" if fields.get("followed") else "does not follow"
@@ -394,6 +392,6 @@ def _latest_contact_sheet(session: Session) -> Path | None:
     """Return the path of the contact sheet that `merge` wrote last; None if there is none."""
     with suppress(OSError):  # a sheet may just be replaced, or the disk may be away
         paths = session.panoramas.glob("contact-*.png")
-        sheets = (path for path in paths if link_on_the_way(session.root, path) is None)
+        sheets = (path for path in paths if safe_paths.link_on_the_way(session.root, path) is None)
         return max(sheets, key=lambda path: path.stat().st_mtime, default=None)
     return None

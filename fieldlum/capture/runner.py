@@ -233,7 +233,8 @@ class _Runner:
         self.recorder = Recorder(
             session, clock.now, options.reserve_bytes, flush=options.flush, listen=self.listen
         )
-        keepers = {name: self._keeper(name) for name in self.openers}
+        common = (clock, self.recorder.write_event, options.watchdog_s)
+        keepers = {k: Keeper[Any](k, opener, *common) for k, opener in self.openers.items()}
         self.camera: Keeper[devices.Camera] = keepers["camera"]
         self.meter: Keeper[devices.IlluminanceMeter] | None = keepers.get("meter")
         self.logger: Logger | None = None
@@ -243,11 +244,6 @@ class _Runner:
         frame_counts = [len(frame_requests(s.exposures, self.setup.camera)) for s in self.slots]
         self.frame_bytes = round(self.bytes_per_slot / (max(frame_counts, default=0) or 1))
         self._state, self._next = "waiting", self._next_to_do()
-
-    def _keeper(self, name: str) -> Keeper[Any]:
-        """Return what holds the device of this name, which is not opened yet."""
-        tell, watchdog_s = self.recorder.write_event, self.options.watchdog_s
-        return Keeper(name, self.openers[name], self.clock, tell, watchdog_s)
 
     def open(self, uris: dict[str, str]) -> None:
         """Open all devices, store what they are in session.toml, and start the log.
@@ -293,7 +289,10 @@ class _Runner:
     def work(self) -> None:
         """Wait for each slot and take its bracket, until every slot has an outcome."""
         while (slot := self._next) is not None:
-            if not self._wait_until(slot.t_utc):
+            around_s = self.options.log_around_s
+            if around_s is not None and self.logger is not None:
+                self._sleep_until(slot.t_utc - timedelta(seconds=around_s), log=False)
+            if not self._sleep_until(slot.t_utc):
                 self._next = self._next_to_do()
                 continue
             state = self.states.state(slot.id)
@@ -378,13 +377,6 @@ class _Runner:
             return bracket.abort(f"{why} (now {late_s:.0f} s late)")
         self.recorder.write_event("missed", slot=slot, why=f"late by {late_s:.0f} s")
         return slot_states.SlotState("missed", why="late")
-
-    def _wait_until(self, t_utc: datetime) -> bool:
-        """Wait until a time; return False if the plan changed before that time."""
-        around_s = self.options.log_around_s
-        if around_s is not None and self.logger is not None:
-            self._sleep_until(t_utc - timedelta(seconds=around_s), log=False)
-        return self._sleep_until(t_utc)
 
     def _sleep_until(self, t_utc: datetime, *, log: bool = True) -> bool:
         """Sleep and log until a time; return False if the plan changed before that time.

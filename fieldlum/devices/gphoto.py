@@ -18,9 +18,8 @@ from msgspec import Struct
 
 from fieldlum.core.errors import DeviceError, install_text
 from fieldlum.core.records import Exposure
-from fieldlum.devices import Camera, CameraInfo, DeviceUri, nearest, retry, store_frame
+from fieldlum.devices import Camera, CameraInfo, DeviceUri, nearest, retry, serial_port, store_frame
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.serial_port import closed_on_error
 from fieldlum.optics.raw import RAW_SUFFIXES
 from fieldlum.session import Session, disk_is_full
 
@@ -82,7 +81,7 @@ class GphotoCamera(Camera):
         """
         self._child = Child("gphoto", serve)
         self._delete = delete
-        with closed_on_error(self):
+        with serial_port.closed_on_error(self):
             about: dict[str, Any] = self._child.ask("open", model, timeout_s=PATIENCE_S)
             # name of the widget and its choices, by setting: shutter, aperture, iso
             self._settings: dict[str, tuple[str, list[str]]] = about.pop("settings")

@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.core import strict_csv
+from fieldlum.core import files, strict_csv
 from fieldlum.core.arrays import Mask
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.files import open_to_read
 from fieldlum.core.records import IrradianceSample, counted, require_known_year
 from fieldlum.devices.modbus import MAX_WM2, MIN_WM2
 from fieldlum.session.day_files import DAY_COLUMNS, read_day
@@ -122,7 +121,7 @@ def read_logger_file(
     utc_offset, and for dates whose day and month cannot be distinguished.
     """
     first_bytes = b""
-    with suppress(OSError), open_to_read(path) as file:
+    with suppress(OSError), files.open_to_read(path) as file:
         first_bytes = file.read(len(_NETCDF))
     options = (utc_offset, columns or {}, sensitivities or {})
     if first_bytes == _NETCDF:
@@ -416,7 +415,11 @@ def read_rows(
             samples.append(IrradianceSample(times.utc(row), **values, raw=raw))
             right_rows.append(row)
         except (ValueError, OverflowError) as error:
-            _refuse_names_below(path, table, number, line)
+            cells = [cell.strip(' "') for cell in line.split(table.mark)]
+            if any(map(_kind_of_time, cells)) and cells != [name.strip(' "') for name in names]:
+                below = counted(sum(n > number for n, _ in table.lines), "row")
+                found = f"line {number}: other column names, for {below}"
+                raise InputError(path, found, "one table", "split the file there") from None
             damaged.append(f"line {number}: {error}")
     _refuse_other_counts(path, other_counts, count)
     _refuse_rounded_times(path, [times.text(row) for row in right_rows], samples)
@@ -425,15 +428,6 @@ def read_rows(
         why = "out of the valid range or flagged as bad"
         notes.append(f"missing by the file itself: {bad_values}, {why}")
     return LoggerFile(tuple(samples), (*damaged, *table.cut), (*notes, *times.notes(utc_offset)))
-
-
-def _refuse_names_below(path: Path, table: _Table, number: int, line: str) -> None:
-    """Raise InputError if a line in a table, with its number, has the names of another table."""
-    cells = [cell.strip(' "') for cell in line.split(table.mark)]
-    if any(map(_kind_of_time, cells)) and cells != [name.strip(' "') for name in table.names]:
-        below = counted(sum(n > number for n, _ in table.lines), "row")
-        found = f"line {number}: other column names, for {below}"
-        raise InputError(path, found, "one table", "split the file there") from None
 
 
 def _refuse_other_counts(path: Path, counts: Sequence[tuple[int, int]], expected: int) -> None:

@@ -21,13 +21,7 @@ from fieldlum.merge.sun_and_sky import MEASURED, sky_cut, sun_on_sensor, take_ou
 from fieldlum.optics.illuminance import illuminance_ahead_lx
 from fieldlum.optics.images import PICTURE_SUFFIXES, write_picture
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.projection import (
-    FULLY_SEEN_SHARE,
-    Equirect,
-    Fisheye,
-    Target,
-    signed_angle_deg,
-)
+from fieldlum.optics.projection import FULLY_SEEN_SHARE, Equirect, Fisheye, Target, signed_angle_deg
 from fieldlum.optics.raw import roll_deg_of, white_balance_is_fixed
 from fieldlum.session.codec import to_json
 from fieldlum.session.files.sidecar import FrameQuality, MeasuredSun, MergeReport

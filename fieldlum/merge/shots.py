@@ -15,9 +15,8 @@ from fieldlum.optics.exposure import LAWS, z_per_cdm2
 from fieldlum.optics.linear_light import SAME_LABEL, nd_factors, true_shutter_s
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.raw import frame_files, is_jpeg, read_exif
-from fieldlum.session import sha256
+from fieldlum.session import safe_paths, sha256
 from fieldlum.session.files.capture_json import CaptureFile
-from fieldlum.session.safe_paths import refuse_link
 
 # Relative standard uncertainties, not measured: of a shutter time from frame to frame; of the gain
 # at an ISO other than the profile's, because gains of amplifiers are not exact.
@@ -59,7 +58,7 @@ def shots_of_slot(folder: Path) -> list[Shot]:
     shots = [Shot(folder / f.file, f.exposure, f.heading_deg, f.t_utc, f.sha256) for f in frames]
     files = [shot.path for shot in shots] or frame_files(folder)
     for path in files:
-        refuse_link(folder, path)
+        safe_paths.refuse_link(folder, path)
     return shots or shots_of_files(files)
 
 

@@ -23,10 +23,9 @@ from fieldlum.core.records import CLIPPED_SUN, JsonTable, Site, counted, parse_u
 from fieldlum.merge.bracket import MergeOptions, MergeResult, merge_shots
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
 from fieldlum.merge.sun_and_sky import disc_px, expected_sun_deg, mosaic_u_rel
+from fieldlum.optics import images, raw
 from fieldlum.optics.illuminance import illuminance_ahead_lx
-from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
-from fieldlum.optics.raw import unreadable
 from fieldlum.session import Session
 from fieldlum.session.codec import current_note, digest, sealed, to_json, warn_if_changed, write_csv
 from fieldlum.session.files.capture_json import CaptureFile
@@ -176,7 +175,7 @@ def _merge_readable(
         return merged(shots), []
     except InputError:
         pixels = job.profile.camera.pixels
-        lost = [s.path.name for s in shots if unreadable(s.path, camera_pixels=pixels)]
+        lost = [s.path.name for s in shots if raw.unreadable(s.path, camera_pixels=pixels)]
         if not lost or len(shots) - len(lost) < max(2, len(shots) / 2):
             raise
         return merged([s for s in shots if s.path.name not in lost]), lost
@@ -208,7 +207,7 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
     """
     picture = session.panorama(job.slot)
     with replacing_path(picture) as path:
-        write_panorama(path, result.panorama)
+        images.write_panorama(path, result.panorama)
     sky = session.sky_picture(job.slot)
     if result.sky is None:
         sky.unlink(missing_ok=True)  # of an earlier merge
@@ -395,7 +394,11 @@ def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDA
             _write_text(sheet, text, (x + 2, y + _HEIGHT + 13 * (line + 1)))
         path = session.panorama(sidecar.slot)
         if path.is_file():
-            sheet[y : y + _HEIGHT, x : x + _WIDTH] = _thumbnail(path)
+            panorama = images.read_panorama(path)
+            flags = 0 if panorama.flags is None else panorama.flags
+            light = np.where(flags, np.float32(np.nan), panorama.luminance_cdm2)
+            small = cv2.resize(light, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_NEAREST)
+            sheet[y : y + _HEIGHT, x : x + _WIDTH] = coloured(np.asarray(small, np.float32))
     sheet[foot + 4 : foot + 16, 6:466] = coloured(np.geomspace(*RANGE_CDM2, 460))
     for k, text in enumerate(("1", "10", "100", "1000", "10 000 cd/m2")):
         _write_text(sheet, text, (6 + min(115 * k, 430), foot + 29))
@@ -405,15 +408,6 @@ def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDA
 def _write_text(sheet: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
     """Write a small black text into the sheet; at: x, y of its lower left corner [px]."""
     cv2.putText(sheet, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.36, (0, 0, 0), 1, cv2.LINE_AA)
-
-
-def _thumbnail(path: Path) -> NDArray[np.uint8]:
-    """Return a panorama as a thumbnail in false colour, RGB [_HEIGHT, _WIDTH, 3]."""
-    panorama = read_panorama(path)
-    flags = 0 if panorama.flags is None else panorama.flags
-    light = np.where(flags, np.float32(np.nan), panorama.luminance_cdm2)
-    small = cv2.resize(light, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_NEAREST)
-    return coloured(np.asarray(small, np.float32))
 
 
 def write_summary(session: Session) -> None:

@@ -6,27 +6,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama, SunSource
-from fieldlum.optics.projection import (
-    FULLY_SEEN_SHARE,
-    direction,
-    equirect_rays,
-    row_solid_angles,
-    seen_shares,
-)
-
-
-def _cosine_weights(height: int, width: int, heading_deg: float, normal: Floats) -> Floats:
-    """Return the integral of the cosine to a plane's normal over each pixel, [H, W] in sr.
-
-    height, width, heading_deg: of a panorama; normal: unit vector (east, north, up). The result is
-    0 behind the plane. Each pixel is divided into at least four, which count by their centre.
-    """
-    # At least 128 rows: the sum over a hemisphere is then pi to 0.01 %.
-    fine = max(2, -(-128 // height))
-    size = (height * fine, width * fine)
-    inside = np.maximum(equirect_rays(*size, heading_deg) @ normal, 0.0)
-    inside *= row_solid_angles(*size)[:, None]
-    return inside.reshape(height, fine, width, fine).sum(axis=(1, 3))
+from fieldlum.optics import projection
 
 
 def illuminance_lx(
@@ -45,10 +25,16 @@ def illuminance_lx(
     """
     values = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
     height, width = values.shape
-    normal = direction(normal_altitude_deg, normal_azimuth_deg)
-    total = float((values * _cosine_weights(height, width, heading_deg, normal)).sum())
+    normal = projection.direction(normal_altitude_deg, normal_azimuth_deg)
+    # Each pixel is divided into at least four, which count by their centre, and the panorama into
+    # at least 128 rows: the sum of the weights [sr] over a hemisphere is then pi to 0.01 %.
+    fine = max(2, -(-128 // height))
+    size = (height * fine, width * fine)
+    cosines = np.maximum(projection.equirect_rays(*size, heading_deg) @ normal, 0.0)
+    cosines *= projection.row_solid_angles(*size)[:, None]
+    total = float((values * cosines.reshape(height, fine, width, fine).sum(axis=(1, 3))).sum())
     if sun is not None:
-        cosine = float(direction(sun.altitude_deg, sun.azimuth_deg) @ normal)
+        cosine = float(projection.direction(sun.altitude_deg, sun.azimuth_deg) @ normal)
         total += sun.normal_illuminance_lx * max(cosine, 0.0)
     return total
 
@@ -60,7 +46,8 @@ def illuminance_ahead_lx(panorama: Panorama, sun: SunSource | None = None) -> fl
     less than `FULLY_SEEN_SHARE` of the plane's hemisphere, of which the rest would count as black.
     """
     heading_deg = panorama.heading_deg
-    if seen_shares(panorama.seen, heading_deg, [heading_deg])[0] < FULLY_SEEN_SHARE:
+    seen_share = projection.seen_shares(panorama.seen, heading_deg, [heading_deg])[0]
+    if seen_share < projection.FULLY_SEEN_SHARE:
         return None
     return illuminance_lx(panorama.luminance_cdm2, heading_deg, 0.0, heading_deg, sun)
 

@@ -26,18 +26,11 @@ from typing import Any, BinaryIO, cast
 
 import numpy as np
 
+from fieldlum.core import records
 from fieldlum.core.arrays import Floats, Floats32, Mask, UInts8
 from fieldlum.core.errors import InputError, input_errors, kind_of, library_messages
 from fieldlum.core.files import open_to_read, replacing_path
-from fieldlum.core.records import (
-    MAX_PIXELS,
-    Flag,
-    Panorama,
-    SunSource,
-    counted,
-    parse_utc,
-    utc_text,
-)
+from fieldlum.core.records import MAX_PIXELS, Flag, Panorama, SunSource, counted
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics import melanopic
 from fieldlum.optics.profiles import CameraProfile
@@ -464,7 +457,7 @@ def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") ->
         "type": OpenEXR.scanlineimage,
         "view": view,
         "heading_deg": f"{panorama.heading_deg:.6g}",
-        **({"t_utc": utc_text(panorama.t_utc)} if panorama.t_utc else {}),
+        **({"t_utc": records.utc_text(panorama.t_utc)} if panorama.t_utc else {}),
         **({"sun": _sun_text(panorama.sun)} if panorama.sun else {}),
         **{f"fieldlum:{key}": value for key, value in panorama.attributes.items()},
     }
@@ -555,7 +548,7 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
         # OpenEXR itself names the view of a stereo picture in this attribute, such as "left".
         view, heading = str(header.get("view", "")), _stated_heading(header)
         heading = 180.0 if heading is None else heading
-        t_utc = parse_utc(header["t_utc"]) if header.get("t_utc") else None
+        t_utc = records.parse_utc(header["t_utc"]) if header.get("t_utc") else None
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
         more = (flags, t_utc, sun, rgb, attributes)
         panorama = Panorama(luminance, heading, channels.get("u"), *more)

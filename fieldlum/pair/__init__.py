@@ -15,13 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.core.errors import (
-    Caution,
-    FieldlumError,
-    InputError,
-    NotEnoughDataError,
-    input_errors,
-)
+from fieldlum.core import errors
+from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.records import Flag, Panorama, Site, SiteFile, parse_utc, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
@@ -38,10 +33,8 @@ from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile, light_digests
 from fieldlum.session.files.sidecar import Sidecar, warn_if_picture_changed
 from fieldlum.session.panorama_sun import SunRow, write_suns
-from fieldlum.sky import sun
+from fieldlum.sky import log_clock_offset, picture_axes, sun
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.log_clock_offset import lit_at_night
-from fieldlum.sky.picture_axes import sun_elsewhere
 from fieldlum.sky.sky_view.sky_directions import BEAM_LX
 
 _CLIPPED_PERCENT = 50.0  # more of the view says little about the room; chosen
@@ -190,7 +183,7 @@ def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
 
     path: of the log, for the error. The cause is a wrong clock or a wrong place.
     """
-    lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
+    lit = log_clock_offset.lit_at_night(log.t_unix_s, log.ghi_wm2, site)
     if len(lit) > 5:
         dark = f"{len(lit)} minutes with the sun well below the horizon"
         finding = f"irradiance was logged in {dark}, first at {utc_text(lit[0])}"
@@ -231,7 +224,7 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
     pairs = PairsFile(session.pairs, tuple(rows))
     pairs.write()
     for text in pairs.pair_again:
-        warnings.warn(text.removeprefix("WARNING: "), Caution, stacklevel=2)
+        warnings.warn(text.removeprefix("WARNING: "), errors.Caution, stacklevel=2)
     return rows
 
 
@@ -290,7 +283,7 @@ def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: flo
     warn_if_picture_changed(bracket.panorama)
     try:
         panorama = read_panorama(bracket.panorama)
-    except FieldlumError as error:
+    except errors.FieldlumError as error:
         return Shown(bracket.slot, caution=str(error))
     sun, caution = measured_sun(panorama, full_normal_lx, bracket.meter_lx)
     seen = np.isfinite(panorama.seen_cdm2)
@@ -302,7 +295,7 @@ def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: flo
         flags = panorama.flags
         clipped = None if flags is None else (flags & Flag.CLIPPED_HIGH) > 0
         light = panorama.luminance_cdm2
-        at = sun_elsewhere(light, heading_deg, full_normal_lx, clipped, altitude_deg)
+        at = picture_axes.sun_elsewhere(light, heading_deg, full_normal_lx, clipped, altitude_deg)
     patches = in_patches(panorama)
     return Shown(bracket.slot, sun, recorded_lx, caution, seen, heading_deg, at, patches)
 

@@ -14,19 +14,15 @@ from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.plot_style import RED, new_figure, open_axes, styled
 from fieldlum.core.records import JsonTable, Panorama, Room, Site, SunSource
-from fieldlum.optics.images import read_panorama
-from fieldlum.optics.projection import altitude_azimuth_deg, flat_pixels
+from fieldlum.optics import images, projection
 from fieldlum.pair.sun_strength import is_measured
-from fieldlum.session import Session, replacing_path, sha256
-from fieldlum.session.codec import data_digest
+from fieldlum.session import Session, codec, replacing_path, sha256
+from fieldlum.sky import perez, picture_axes
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.perez import reinhart_patches
-from fieldlum.sky.picture_axes import wrong_axes
+from fieldlum.sky.sky_view import measured_discs, visible_disc
 from fieldlum.sky.sky_view.estimate_from_captures import Captured, sky_view_of
-from fieldlum.sky.sky_view.measured_discs import read_discs
 from fieldlum.sky.sky_view.picture import SkyPicture, cut_panorama, read_sky_picture
 from fieldlum.sky.sky_view.view import SkyView
-from fieldlum.sky.sky_view.visible_disc import disc_of_hours, room_shares
 from fieldlum.version import __version__
 
 _SKY, _NOT_SEEN = (0.12, 0.37, 0.66), (0.93, 0.73, 0.36)  # colours, from 0 to 1
@@ -81,12 +77,12 @@ class _Pictures:
     @property
     def digest(self) -> str:
         """Digest of the contents of all files."""
-        return data_digest([sha256(file) if file.is_file() else "" for file in self.files])
+        return codec.data_digest([sha256(file) if file.is_file() else "" for file in self.files])
 
     def read(self, k: int) -> SkyPicture:
         """Return the picture of capture k, from 0."""
         file = self.files[k]
-        return read_sky_picture(file) if self.is_cut else cut_panorama(read_panorama(file))
+        return read_sky_picture(file) if self.is_cut else cut_panorama(images.read_panorama(file))
 
 
 def write_sky_view(
@@ -105,12 +101,12 @@ def write_sky_view(
         return None
     captures, light = [shown[k] for k in rows], light[rows]
     slots = [capture.slot for capture in captures]
-    pictures, discs = _Pictures.of(session, slots), read_discs(session)
+    pictures, discs = _Pictures.of(session, slots), measured_discs.read_discs(session)
     shares = np.array([c.measured_lx for c in captures]) / np.maximum(light.direct_lx, 1.0)
     inputs: JsonTable = {
         "captures": slots,
         "pictures": pictures.digest,
-        "others": data_digest(__version__, light, shares, discs),
+        "others": codec.data_digest(__version__, light, shares, discs),
     }
     with suppress(InputError):  # a damaged view is estimated again
         stored = None if force else SkyView.find(session.sky_view)
@@ -124,25 +120,18 @@ def write_sky_view(
     except NotEnoughDataError:
         session.sky_view.unlink(missing_ok=True)
         return None
-    view = replace(view, inputs=inputs, notes=(*view.notes, *_notes_on_heading(captures, light)))
+    places = {k: at for k, capture in enumerate(captures) if (at := capture.sun_at_deg) is not None}
+    suns = np.stack([light.apparent_altitude_deg, light.sun_azimuth_deg], axis=1)[[*places]]
+    height = len(captures[0].seen) if captures[0].seen is not None else 1
+    wrong = picture_axes.wrong_axes(suns, [*places.values()], captures[0].heading_deg, height)
+    notes = [f"WARNING: {wrong.found}: {wrong.remedy}"] if wrong and wrong.sure else []
+    view = replace(view, inputs=inputs, notes=(*view.notes, *notes))
     view.write(session.sky_view)
     suns = view.pose.in_pictures(light.apparent_sun_direction[shares != 0.0])
     overcast = captures[int(np.argmax(light.dhi_wm2 - light.dni_wm2))].slot
     picture = session.sky_view.with_suffix(".png")
-    draw(picture, view, read_panorama(session.panorama(overcast)), suns)
+    draw(picture, view, images.read_panorama(session.panorama(overcast)), suns)
     return view
-
-
-def _notes_on_heading(captures: Sequence[Shown], light: Light) -> list[str]:
-    """Return a warning if several panoramas show the sun at another place than it has, or [].
-
-    light: outside at the captures.
-    """
-    shown = {k: at for k, capture in enumerate(captures) if (at := capture.sun_at_deg) is not None}
-    suns = np.stack([light.apparent_altitude_deg, light.sun_azimuth_deg], axis=1)[[*shown]]
-    height = len(captures[0].seen) if captures[0].seen is not None else 1
-    wrong = wrong_axes(suns, [*shown.values()], captures[0].heading_deg, height)
-    return [f"WARNING: {wrong.found}: {wrong.remedy}"] if wrong and wrong.sure else []
 
 
 def is_outdated(session: Session, view: SkyView) -> bool:
@@ -163,7 +152,7 @@ def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
 
     def in_lens(rays: Floats) -> Mask:
         """Return a mask [p] of the directions [p, 3] that a lens saw in most captures."""
-        return often.ravel()[flat_pixels(rays, often.shape, heading_deg)]
+        return often.ravel()[projection.flat_pixels(rays, often.shape, heading_deg)]
 
     return in_lens
 
@@ -171,8 +160,8 @@ def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
 def in_patches(panorama: Panorama) -> Floats32:
     """Return the luminance at the centres of `reinhart_patches`, NaN where no lens saw [2305]."""
     light = panorama.seen_cdm2
-    towards = reinhart_patches().directions
-    return light.ravel()[flat_pixels(towards, light.shape, panorama.heading_deg)]
+    towards = perez.reinhart_patches().directions
+    return light.ravel()[projection.flat_pixels(towards, light.shape, panorama.heading_deg)]
 
 
 def shares_of_beam(view: SkyView | None, room: Room | None, light: Light) -> tuple[Floats, Mask]:
@@ -184,9 +173,9 @@ def shares_of_beam(view: SkyView | None, room: Room | None, light: Light) -> tup
     """
     shares, by_view = np.full(len(light), np.nan), np.zeros(len(light), bool)
     if room is not None:
-        shares = room_shares(room, light.apparent_sun_direction)
+        shares = visible_disc.room_shares(room, light.apparent_sun_direction)
     if view is not None:
-        disc = disc_of_hours(view, light)
+        disc = visible_disc.disc_of_hours(view, light)
         is_wide = disc.high_lx > _WIDE * disc.low_lx
         by_view = (disc.low_lx > 0.0) & (light.direct_lx > 0.0) & ~(is_wide & (shares > 0.0))
         shares[by_view] = disc.best_lx[by_view] / light.direct_lx[by_view]
@@ -207,7 +196,7 @@ def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
     blind = np.isnan(view.openness)[..., None]
     colours = np.where(blind, _NOT_SEEN, _SKY)
     alpha = 0.7 * np.where(blind, 0.5, np.nan_to_num(view.openness)[..., None])
-    altitude, azimuth = altitude_azimuth_deg(suns)
+    altitude, azimuth = projection.altitude_azimuth_deg(suns)
     middle = panorama.heading_deg
     with styled():
         figure = new_figure(10.0, 1.6 + 9.0 * (top - bottom + 10.0) / (right - left + 10.0))

@@ -151,12 +151,15 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
         _NO_WINDOW if room and room.kind == "box" and not room.window else "",
         *(weather.repairs if weather else ()),
     )
-    seconds, megabytes = _cost_of(profile.bracket, exposures, setup)
+    # of one slot, by the profile's estimates for one frame
+    headings = max(len(setup.camera.headings), 1)
+    seconds = sum(profile.bracket.seconds_per_frame + e.shutter_s for e in exposures)
+    megabytes = headings * len(exposures) * profile.bracket.megabytes_per_frame
     return Plan(
         slots,
         days=tuple(days),
-        seconds_per_slot=seconds,
-        megabytes_per_slot=megabytes,
+        seconds_per_slot=round(headings * seconds, 1),
+        megabytes_per_slot=round(megabytes, 1),
         coverage=capture_days.coverage(hours, site, weather),
         warnings=tuple(text for text in warnings if text),
     )
@@ -200,20 +203,6 @@ def make_slots(
         )
         slots.append(slot)
     return tuple(sorted(slots, key=lambda slot: slot.t_utc))
-
-
-def _cost_of(
-    bracket: profiles.Bracket, exposures: Sequence[Exposure], setup: SiteFile
-) -> tuple[float, float]:
-    """Return the time [s] and disk space [MB] of one slot, with every exposure at every heading.
-
-    bracket: the profile's estimates for one frame. The time is that per frame plus the shutter
-    times.
-    """
-    headings = max(len(setup.camera.headings), 1)
-    seconds = sum(bracket.seconds_per_frame + e.shutter_s for e in exposures)
-    megabytes = headings * len(exposures) * bracket.megabytes_per_frame
-    return round(headings * seconds, 1), round(megabytes, 1)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -18,8 +18,7 @@ import numpy as np
 from fieldlum.core import plot_style
 from fieldlum.core.plot_style import AMBER, BLUE, GRID, INK, PALE, RED, SAND
 from fieldlum.core.records import Site, SiteFile, Slot, utc_text
-from fieldlum.optics.profiles import assumed_texts
-from fieldlum.optics.projection import altitude_azimuth_deg
+from fieldlum.optics import profiles, projection
 from fieldlum.plan import capture_days as days
 from fieldlum.room.scene.drawing import room_svg
 from fieldlum.session import exposure_text
@@ -102,7 +101,7 @@ def html(
     loader, escape_all = PackageLoader("fieldlum.plan", ""), select_autoescape(default=True)
     environment = Environment(loader=loader, autoescape=escape_all)
     counts = accumulate(len(group) for _, group in dated)
-    assumed = assumed_texts(setup.camera)
+    assumed = profiles.assumed_texts(setup.camera)
     return environment.get_template("sheet.html.j2").render(
         site=setup.site,
         headings=[f"{heading:g}" for heading in setup.camera.headings],
@@ -229,7 +228,7 @@ def sky_chart(hours: days.DaylightHours, setup: SiteFile, day: date | None = Non
     axes.grid(color=GRID)
     if day is None:
         directions = days.band_directions(site, 16)
-        altitude, azimuth = altitude_azimuth_deg(directions)
+        altitude, azimuth = projection.altitude_azimuth_deg(directions)
         near = days.near_planned(directions, hours)
         for part, colour in ((~near, SAND), (near, AMBER)):
             angle, zenith_deg = np.radians(azimuth[part]), 90 - altitude[part]

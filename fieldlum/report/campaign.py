@@ -15,8 +15,7 @@ from fieldlum.core.records import counted
 from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.report.page import Page, Section, Table, chip, direction_name, render
 from fieldlum.report.sections import exceeded_text
-from fieldlum.session import open_session, write_file
-from fieldlum.session.codec import to_json, write_object
+from fieldlum.session import codec, open_session, write_file
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile
 from fieldlum.year.predict import best_and_worst, newest_annual, outdated_text
@@ -150,7 +149,7 @@ def write_overview(campaign: CampaignFile, out: Path) -> tuple[Path, list[RoomOv
         rooms.append(overview_of(campaign.path.parent, name))
     page = out / "index.html"
     write_file(page, _page(campaign.name, rooms))
-    write_object(out / "overview.json", {"rooms": [to_json(room) for room in rooms]})
+    codec.write_object(out / "overview.json", {"rooms": [codec.to_json(room) for room in rooms]})
     return page, rooms
 
 

@@ -17,20 +17,17 @@ import numpy as np
 import pandas as pd
 from scipy.ndimage import binary_dilation
 
-from fieldlum.core import strict_csv
+from fieldlum.core import plot_style, strict_csv
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.files import open_to_read, read_bytes
-from fieldlum.core.plot_style import new_figure, styled
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable, Room, counted
 from fieldlum.optics import projection
 from fieldlum.report.page import comparison_png, png
 from fieldlum.room.scene.box_room import WALLS, wall_named
 from fieldlum.room.scene.view import traced_view
-from fieldlum.session import Session, write_file
-from fieldlum.session.codec import write_csv
-from fieldlum.session.panorama_sun import read_panorama_with_sun
+from fieldlum.session import Session, codec, panorama_sun, write_file
 from fieldlum.sky.sun import hour_of_year
 from fieldlum.year.glare.picture_glare import valid_pixels
 from fieldlum.year.glare.pictures import picture_directions, read_picture
@@ -157,7 +154,7 @@ def compare(
 def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, Path]:
     """Write compare.csv and compare.png to the folder `out`; return their paths."""
     files = (out / "compare.csv", out / "compare.png")
-    write_csv(files[0], rows)
+    codec.write_csv(files[0], rows)
     write_file(files[1], picture)
     return files
 
@@ -228,19 +225,6 @@ def _compare_pictures(session: Session, model: Path, out: Path) -> Comparison:
     return Comparison(surfaces, [], text, _write(out, rows, picture))
 
 
-def _sector_names(height: int, heading_deg: float) -> Array:
-    """Return the sector of each pixel of a panorama [H, 2H]: "N", "NE" ..., "above" or "below".
-
-    The names replace those of surfaces if no box room is known. Above and below begin at an
-    altitude of 45 degrees.
-    """
-    rays = projection.equirect_rays(height, 2 * height, heading_deg)
-    altitude_deg, azimuth_deg = projection.altitude_azimuth_deg(rays)
-    sectors = np.array(["N", "NE", "E", "SE", "S", "SW", "W", "NW"], object)
-    around = sectors[np.round(azimuth_deg / 45.0).astype(int) % 8]
-    return np.where(altitude_deg > 45.0, "above", np.where(altitude_deg < -45.0, "below", around))
-
-
 def _on_one_grid(
     capture_file: Path, model_file: Path, room: Room | None
 ) -> tuple[Array, Floats, Floats, Floats]:
@@ -251,7 +235,7 @@ def _on_one_grid(
     capture_file: panorama of the same slot; room: for the names of surfaces, None if it is unknown.
     Raises InputError for pictures that cannot be read or that share no direction with light.
     """
-    capture, picture = read_panorama_with_sun(capture_file), read_picture(model_file)
+    capture, picture = panorama_sun.read_panorama_with_sun(capture_file), read_picture(model_file)
     model_light, _ = valid_pixels(picture.panorama, model_file)
     rays, weight = picture_directions(picture)
     light, _ = valid_pixels(capture, capture_file)
@@ -270,9 +254,15 @@ def _on_one_grid(
     if not (weight * light[at]).sum() > 0.0 or not (weight * model_light).sum() > 0.0:
         found, expected = "no light in the capture's directions", "the same directions in cd/m2"
         raise InputError(model_file, found, expected, "check VIEW, north (y axis) and unit")
-    names = _sector_names(height, heading_deg)
     if room is not None and room.kind == "box":
         names = surface_names(room, height, heading_deg)
+    else:  # sectors of the sky's directions, above and below 45 degrees of altitude one name each
+        pixels = projection.equirect_rays(height, 2 * height, heading_deg)
+        altitude_deg, azimuth_deg = projection.altitude_azimuth_deg(pixels)
+        sectors = np.array(["N", "NE", "E", "SE", "S", "SW", "W", "NW"], object)
+        names = sectors[np.round(azimuth_deg / 45.0).astype(int) % 8]
+        names = np.where(altitude_deg < -45.0, "below", names)
+        names = np.where(altitude_deg > 45.0, "above", names)
     return names[at], light[at], model_light, weight
 
 
@@ -659,8 +649,8 @@ def _other_clock(measured: Floats, hours: Array, modelled: Floats) -> Iterator[s
 
 def _hours_png(shared: Sequence[SharedHours]) -> bytes:
     """Return a PNG with the difference of each view over the days and hours of the year."""
-    with styled():
-        figure = new_figure(10.0, 2.6 * len(shared))
+    with plot_style.styled():
+        figure = plot_style.new_figure(10.0, 2.6 * len(shared))
         axes = figure.subplots(len(shared), 1, squeeze=False)[:, 0]
         for axis, part in zip(axes, shared, strict=True):
             errors = np.full(8760, np.nan)

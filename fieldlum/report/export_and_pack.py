@@ -19,24 +19,18 @@ import numpy as np
 import tomli_w
 import xarray as xr
 
+from fieldlum.core import false_colour, strict_toml
 from fieldlum.core.errors import Caution, InputError, NotEnoughDataError
-from fieldlum.core.false_colour import png_of
 from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Flag, Room, counted, listed
-from fieldlum.core.strict_toml import read_toml
-from fieldlum.optics.images import read_panorama, write_radiance_hdr
+from fieldlum.optics import images, raw
 from fieldlum.optics.projection import NOT_SEEN, direction, seen_shares, seen_words
-from fieldlum.optics.raw import RAW_SUFFIXES
 from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.room.fit.scene_file import SCENE_TOML, read_scene
-from fieldlum.room.scene.box_room import build
-from fieldlum.room.scene.radiance import rad_text
-from fieldlum.room.scene.write_honeybee import MODEL_NAME, honeybee_model
-from fieldlum.session import Session, replacing_path, write_file
-from fieldlum.session.codec import warn_if_changed, write_csv, write_object
+from fieldlum.room.scene import box_room, radiance, write_honeybee
+from fieldlum.session import Session, codec, panorama_sun, replacing_path, write_file
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.version import __version__
 from fieldlum.year.glare.picture_glare import valid_pixels
@@ -74,7 +68,7 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
         files.append(_netcdf(annual.to_xarray(), out / "year.nc"))
     for number, path in enumerate(panoramas):
         progress(number, len(panoramas), "maps")
-        panorama = read_panorama_with_sun(path)
+        panorama = panorama_sun.read_panorama_with_sun(path)
         light, _ = valid_pixels(panorama, path)
         asked_deg = azimuths_deg or (panorama.heading_deg,)
         for azimuth_deg in dict.fromkeys(round(a % 360.0, 1) % 360.0 for a in asked_deg):
@@ -90,7 +84,7 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
             files.append(out / "maps" / f"{path.stem}-{azimuth_deg:g}.hdr")
             with replacing_path(files[-1]) as temporary:
                 about = {"view": view, "seen": unseen < 0.5, "clipped": panorama.clipped_count}
-                write_radiance_hdr(temporary, picture, **about)
+                images.write_radiance_hdr(temporary, picture, **about)
     if not_written:
         listed_deg = listed([f"{azimuth_deg:g}" for azimuth_deg in sorted(not_written)])
         text = f"no maps to {listed_deg} degrees: the lens saw less than half of these views"
@@ -113,14 +107,14 @@ def _sky(session: Session, out: Path) -> list[Path]:
     table, picture = out / "sky_view.csv", out / "sky_view_mask.png"
     names = ("altitude_deg", "azimuth_deg", "beam_share", "low", "high")
     rows = zip(altitude, azimuth, *shares, strict=True)
-    write_csv(table, (dict(zip(names, row, strict=True)) for row in rows), names, digits=4)
+    codec.write_csv(table, (dict(zip(names, row, strict=True)) for row in rows), names, digits=4)
     # pixels from the middle, 1 at the horizon
     y, x = 2.0 * np.array(np.broadcast_arrays(*picture_centres(_FISHEYE_PX, _FISHEYE_PX)))
     radius = np.hypot(x, y)
     rays = direction(90.0 * (1.0 - radius), np.degrees(np.arctan2(-x, y)))
     share = view.beam_shares(rays)[0]
     grey = np.where(np.isnan(share), 128.0, 255.0 * share) * (radius <= 1.0)
-    write_file(picture, png_of(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)))
+    write_file(picture, false_colour.png_of(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)))
     return [table, picture]
 
 
@@ -139,13 +133,13 @@ def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Pa
     if room is None or room.kind != "box":
         return []
     rad_file, honeybee_file = out / "room.rad", out / "room.hbjson"
-    for file, mark in ((rad_file, _Y_AXIS), (honeybee_file, MODEL_NAME)):
+    for file, mark in ((rad_file, _Y_AXIS), (honeybee_file, write_honeybee.MODEL_NAME)):
         if file.is_file() and mark.encode() not in read_bytes(file)[:_MARK_BYTES]:
             found = "a file that export did not write"
             raise InputError(file, found, "another folder", "choose another --out")
     north = f"{_Y_AXIS} {(room.wall_azimuth_deg + 180) % 360:g} deg from true north\n"
-    write_file(rad_file, north + rad_text(build(room)))
-    write_object(honeybee_file, honeybee_model(room, azimuths_deg))
+    write_file(rad_file, north + radiance.rad_text(box_room.build(room)))
+    codec.write_object(honeybee_file, write_honeybee.honeybee_model(room, azimuths_deg))
     return [rad_file, honeybee_file]
 
 
@@ -183,7 +177,7 @@ _PERSONAL_PATH = re.compile(rb"/home/|/Users/|[A-Z]:[\\]+Users")
 _LEFT_OUT = re.compile(r"(^|/)\.|\.(tmp|torn|sha256|zip)$|^outbox")
 _LOCAL_TABLES = ("imported", "logger_files")  # of session.toml; they name folders of this computer
 _JPEG = (".jpg", ".jpeg")
-_FRAMES = (*_JPEG, ".tif", ".tiff", ".png", ".heic", *RAW_SUFFIXES)
+_FRAMES = (*_JPEG, ".tif", ".tiff", ".png", ".heic", *raw.RAW_SUFFIXES)
 # Tags of EXIF 2.32: GPS IFD, and its version, which cameras write without a position;
 # CameraOwnerName and Artist; BodySerialNumber, LensSerialNumber, and CameraSerialNumber of DNG 1.4.
 _GPS, _GPS_VERSION, _OWNER, _SERIAL = 0x8825, 0, (0xA430, 0x013B), (0xA431, 0xA435, 0xC62F)
@@ -252,7 +246,7 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
             add(name, text.encode())
         for number, path in enumerate(files):
             progress(number, len(files), "files")
-            warn_if_changed(path)  # the archive has no checksum files, but its own manifest
+            codec.warn_if_changed(path)  # the archive has no checksum files, but its own manifest
             add(path.relative_to(session.root).as_posix(), read_bytes(path))
         manifest = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests))
         archive.writestr(f"{top}/MANIFEST.sha256", manifest)
@@ -292,7 +286,7 @@ def _private_exif(path: Path) -> str | None:
 
 def _session_toml(session: Session) -> str:
     """Return session.toml without folders of this computer and addresses of devices."""
-    stored = read_toml(session.toml)
+    stored = strict_toml.read_toml(session.toml)
     table = {name: part for name, part in stored.items() if name not in _LOCAL_TABLES}
     table.get("devices", {}).pop("uris", None)
     return tomli_w.dumps(table)
@@ -302,7 +296,7 @@ def _notes(session: Session) -> list[str]:
     """Return what the authors should check before they publish, one sentence each."""
     notes, moved = [], []
     for path in session.panorama_files():
-        flags = read_panorama(path).flags
+        flags = images.read_panorama(path).flags
         # a person 3 m away covers 2 % of the view
         if flags is not None and float(((flags & Flag.MOTION) > 0).mean()) > 0.02:
             moved.append(path.stem)

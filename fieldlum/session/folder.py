@@ -15,11 +15,10 @@ from typing import Annotated, Any, Literal, Required, TypedDict, cast
 from filelock import FileLock, Timeout
 from msgspec import Meta
 
-from fieldlum.core import files
+from fieldlum.core import files, strict_toml
 from fieldlum.core.errors import ChangedFileWarning, InputError, input_errors
 from fieldlum.core.files import read_bytes, sha256, write_file
 from fieldlum.core.records import SiteFile, Slot
-from fieldlum.core.strict_toml import read_toml
 from fieldlum.session.codec import Seconds, convert
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.safe_paths import is_plain, open_inside, refuse_links
@@ -238,7 +237,7 @@ class Session:
 
     def table(self) -> SessionTable:
         """Return the content of session.toml. Raises InputError if it cannot be read."""
-        return cast(SessionTable, read_toml(self.toml))
+        return cast(SessionTable, strict_toml.read_toml(self.toml))
 
     def site_file(self) -> SiteFile:
         """Return site, camera, room and pyranometer, as recorded when the session was planned.

@@ -12,13 +12,8 @@ from scipy.ndimage import label
 
 from fieldlum.core.arrays import ArrayLike, Floats, Mask
 from fieldlum.core.records import counted
-from fieldlum.optics.projection import (
-    altitude_azimuth_deg,
-    column_azimuths_deg,
-    direction,
-    row_altitudes_deg,
-    signed_angle_deg,
-)
+from fieldlum.optics import projection
+from fieldlum.optics.projection import direction, row_altitudes_deg, signed_angle_deg
 from fieldlum.sky.sun_disc import find_disc
 
 # Least share of the beam that makes a bright spot the sun: glass, water and polish reflect less up
@@ -70,12 +65,12 @@ def sun_elsewhere(
         return None
     rows, columns = np.nonzero(spots)
     height, width = clipped.shape
-    azimuths = column_azimuths_deg(width, heading_deg)[columns]
+    azimuths = projection.column_azimuths_deg(width, heading_deg)[columns]
     rays = direction(row_altitudes_deg(height)[rows], azimuths)  # of the spot's pixels [k, 3]
     middle = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))
     if np.degrees(np.arccos(np.clip(rays @ middle, -1, 1)).max()) > _HALO_DEG + 180.0 / height:
         return None
-    spot_altitude, azimuth = map(float, altitude_azimuth_deg(middle))
+    spot_altitude, azimuth = map(float, projection.altitude_azimuth_deg(middle))
     is_high = abs(spot_altitude - altitude_deg) < _WITHIN_DEG
     return (spot_altitude, azimuth % 360.0) if is_high else None
 

@@ -10,14 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.optics.projection import (
-    altitude_azimuth_deg,
-    column_azimuths_deg,
-    direction,
-    equirect_pixel,
-    equirect_solid_angles,
-    row_altitudes_deg,
-)
+from fieldlum.optics import projection
+from fieldlum.optics.projection import column_azimuths_deg, direction, row_altitudes_deg
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 
@@ -176,11 +170,11 @@ def add_source(
     directions; heading_deg: azimuth of the maps' centre.
     """
     height, width = luminance_cdm2.shape[1:]
-    row, column = equirect_pixel(*place_deg, height, width, heading_deg)
+    row, column = projection.equirect_pixel(*place_deg, height, width, heading_deg)
     i = np.clip(row.astype(int), 0, height - 1)
     j = column.astype(int) % width
     with_disc = luminance_cdm2.copy()
-    added_cdm2 = normal_lx / equirect_solid_angles(height, width)[i, j]
+    added_cdm2 = normal_lx / projection.equirect_solid_angles(height, width)[i, j]
     with_disc[np.arange(len(with_disc)), i, j] += added_cdm2.astype(np.float32)
     return with_disc
 
@@ -207,7 +201,7 @@ def _band(
     indices = np.flatnonzero(np.abs(altitudes - altitude_deg) <= margin_deg)
     rows = slice(int(indices[0]), int(indices[-1]) + 1)
     clipped = np.zeros(light.shape, bool) if clipped is None else clipped
-    solid_sr = equirect_solid_angles(height, width)[rows]
+    solid_sr = projection.equirect_solid_angles(height, width)[rows]
     rays = direction(altitudes[rows, None], azimuths[None, :])
     lit, clipped = light[rows], clipped[rows]
     return _Band(light.shape, rows, lit, solid_sr, rays, clipped, pixel_rad, reach_rad, ring_rad)
@@ -273,7 +267,7 @@ def _disc_at(
         inside = inside | (within_reach & band.clipped)
     pixels = np.zeros(band.shape, bool)
     pixels[band.rows] = inside
-    altitude_deg, azimuth_deg = (float(angle) for angle in altitude_azimuth_deg(centre))
+    altitude_deg, azimuth_deg = (float(angle) for angle in projection.altitude_azimuth_deg(centre))
     return SunDisc(
         altitude_deg,
         azimuth_deg % 360.0,

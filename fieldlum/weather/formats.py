@@ -142,16 +142,18 @@ def _columns(path: Path, names: Cells, headings: Mapping[str, str] = _HEADINGS) 
 def _rows(
     path: Path,
     lines: Rows,
-    columns: Mapping[str, int],
     when: Callable[[Cells], datetime],
     names: Cells = (),
+    columns: Mapping[str, int] | None = None,
 ) -> list[WeatherRow]:
     """Return the rows of a file from the cells of its lines.
 
-    lines: line numbers and cells; columns: the column of each quantity, from 0; when: returns the
-    time that the cells of a line state; names: the file's column headings, for errors. A quantity
-    without a column is NaN. Raises InputError, with the line, for a cell that cannot be read.
+    lines: line numbers and cells; when: returns the time that the cells of a line state; names: the
+    file's column headings; columns: the column of each quantity, from 0; None for those that the
+    headings name. A quantity without a column is NaN. Raises InputError as `_columns`, and, with
+    the line, for a cell that cannot be read.
     """
+    columns = _columns(path, names) if columns is None else columns
     headings = {name: names[k] if names else name.upper() for name, k in columns.items()}
     missing, rows = dict.fromkeys(_HEADINGS, math.nan), []
     for line, cells in lines:
@@ -298,7 +300,7 @@ def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
             found = f"line {line}: {len(cells)} cells"
             raise InputError(path, found, "at least 16 cells", "the file is cut: download it again")
     columns = {"ghi": 13, "dni": 14, "dhi": 15}
-    rows = _rows(path, body, columns, lambda c: _moment(c[:3], c[3]) - timedelta(hours=1))
+    rows = _rows(path, body, lambda c: _moment(c[:3], c[3]) - timedelta(hours=1), (), columns)
     table = WeatherTable(rows, typical=True, place=place, clock=clock, shift=_HALF)
     comments = [line for line in lines[:header] if line.upper().startswith("COMMENTS")]
     if not (stated := _OFFSET.search("\n".join(comments))):
@@ -338,7 +340,7 @@ def _read_tmy3(path: Path, lines: list[str], site: Site) -> WeatherTable:
         label = _moment((year, month, day), hour, minute)
         return label if one_column else label - _HALF
 
-    rows = _rows(path, body, _columns(path, names), when, names)
+    rows = _rows(path, body, when, names)
     typical = not one_column or _is_typical(rows) or "Type: Typical" in lines[0]
     table = WeatherTable(rows, typical=typical, place=place, clock=clock)
     return _best_label(table) if one_column else table
@@ -370,7 +372,7 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
         *date, hour = (cells[k] for k in at)
         return _moment(date, hour, "0" if minutes is None else cells[minutes])
 
-    rows = _rows(path, body, _columns(path, headings), when, headings)
+    rows = _rows(path, body, when, headings)
     typical = _is_typical(rows) or "TMY" in about.get("source", "").upper()
     shift = _HALF if minutes is None else timedelta()
     table = WeatherTable(rows, typical=typical, place=place, clock=clock, shift=shift)
@@ -398,7 +400,7 @@ def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
         """Return the start of the hour whose end the cells of a row state, on the file's clock."""
         return _moment((f"19{cells[0]}", *cells[1:3]), cells[3]) - timedelta(hours=1)
 
-    rows = _rows(path, enumerate(cells, start=2), {"dni": 4, "dhi": 5, "ghi": 6}, start)
+    rows = _rows(path, enumerate(cells, start=2), start, (), {"dni": 4, "dhi": 5, "ghi": 6})
     return WeatherTable(rows, typical=True, place=place, clock=clock, shift=_HALF)
 
 
@@ -419,7 +421,7 @@ def _read_wea(path: Path, lines: list[str], site: Site) -> WeatherTable:
     place, clock = _place(path, numbers, "a place", about["place"])
     cells = [(k, ",".join(line.split())) for k, line in strict_csv.numbered(lines[6:], 7)]
     body = strict_csv.split_rows(path, cells, 5)
-    rows = _rows(path, body, {"dni": 3, "dhi": 4}, lambda c: _moment(("2023", *c[:2]), c[2]))
+    rows = _rows(path, body, lambda c: _moment(("2023", *c[:2]), c[2]), (), {"dni": 3, "dhi": 4})
     return WeatherTable(rows, typical=True, place=place, clock=clock)
 
 
@@ -456,7 +458,7 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
             raise _CellError(f"time '{cells[0]}'", "one as 20230101:0010") from None
 
     columns = _columns(path, names, _IN_PLANE if in_plane else _HEADINGS)
-    rows = _rows(path, body, columns, when, names)
+    rows = _rows(path, body, when, names, columns)
     if in_plane:
         note = "DNI computed as Gb(i) over the sine of the sun's altitude"
         rows = _dni_from_horizontal(rows, place)
@@ -529,7 +531,7 @@ def _read_open_meteo(path: Path, lines: list[str], site: Site) -> WeatherTable:
         """Return the time that the cells of a row state, on the file's clock."""
         return _stated(cells[0]) + (clock if cells[0].isdecimal() else timedelta())
 
-    rows = _rows(path, body, _columns(path, names), when, names)
+    rows = _rows(path, body, when, names)
     return WeatherTable(rows, typical=False, place=place, clock=clock, shift=-_HALF)
 
 
@@ -554,7 +556,7 @@ def _read_cams(path: Path, lines: list[str], site: Site) -> WeatherTable:
         start, _, end = cells[0].partition("/")
         return _stated(start) + (_stated(end) - _stated(start)) / 2
 
-    rows = _rows(path, body, _columns(path, names), when, names)
+    rows = _rows(path, body, when, names)
     return WeatherTable(rows, typical=False, place=place)
 
 
@@ -589,7 +591,7 @@ def _read_solcast(path: Path, lines: list[str], site: Site) -> WeatherTable:
             raise _CellError(f"period '{cells[span]}'", "hours (PT60M)")
         return _stated(cells[at], utc=False)
 
-    rows = _rows(path, body, _columns(path, names), when, names)
+    rows = _rows(path, body, when, names)
     return WeatherTable(rows, typical=False, shift=-_HALF if is_end else _HALF)
 
 
@@ -646,7 +648,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
             return _moment(("2024" if leap else "2023", month, day), hour)
         return _stated(cells[at[0]])
 
-    rows = _rows(path, body, quantities, when, names)
+    rows = _rows(path, body, when, names, quantities)
     return WeatherTable(rows, typical=not dated, place=place, clock=timedelta() if dated else clock)
 
 

@@ -15,13 +15,10 @@ from starlette.routing import Route
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import JsonTable, Room, parse_utc
-from fieldlum.optics.images import read_panorama
-from fieldlum.optics.projection import direction
-from fieldlum.room.scene import sun_patches
+from fieldlum.optics import images, projection
+from fieldlum.room.scene import drawing, sun_patches
 from fieldlum.room.scene.clicked import ClickedRoom, ClickGrid, clicks_from_rows, room_from_clicks
-from fieldlum.room.scene.drawing import compass_text, outline_pixels
-from fieldlum.session import Session, update_session, write_file
-from fieldlum.session.site_toml import site_table
+from fieldlum.session import Session, site_toml, update_session, write_file
 from fieldlum.sky import sun
 from fieldlum.web.server import json_body, picture_routes, static_route
 from fieldlum.web.snapshot import scale_of
@@ -58,7 +55,7 @@ class ClickedPicture:
             raise InputError(session.root, f"no panorama {slot}", expected, "see panoramas/")
         altitudes_deg = {slot.id: slot.sun_altitude_deg for slot in session.slots()}
         slot = slot or max(merged, key=lambda name: altitudes_deg.get(name, -90.0))
-        panorama = read_panorama(merged[slot])
+        panorama = images.read_panorama(merged[slot])
         height, width = panorama.luminance_cdm2.shape
         return cls(session, slot, ClickGrid(height, width, panorama.heading_deg))
 
@@ -79,7 +76,7 @@ def clicked_table(clicked: ClickedRoom) -> JsonTable:
         rows += [(f"window.{number}.{name}", getattr(window, name)) for name in names]
     return {
         "rows": [{"name": name, "value": value, "u": clicked.u[name]} for name, value in rows],
-        "faces": compass_text(room.wall_azimuth_deg),
+        "faces": drawing.compass_text(room.wall_azimuth_deg),
         "walls": [window.wall for window in room.window],
         "misfit_px": clicked.misfit_px,
         "notes": list(clicked.notes),
@@ -103,10 +100,10 @@ def save_room(session: Session, clicked: ClickedRoom, *, replace_room: bool) -> 
     path = session.root / "scene" / "clicked.toml"
     lines = ["# Written by fieldlum scene click. Standard uncertainties, from the clicks' pixels:"]
     lines += [f"#   {name} +- {u:.3g}" for name, u in clicked.u.items()]
-    write_file(path, "\n".join(lines) + "\n\n" + tomli_w.dumps(site_table(new_setup)))
+    write_file(path, "\n".join(lines) + "\n\n" + tomli_w.dumps(site_toml.site_table(new_setup)))
     is_written = setup.room is None or replace_room
     if is_written:
-        update_session(session, {"setup": site_table(new_setup)})
+        update_session(session, {"setup": site_toml.site_table(new_setup)})
     return path, is_written
 
 
@@ -138,7 +135,7 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
         They are the edges of the room (`outline_pixels`) and the outlines of its sun patches, in
         pixels of the picture. replace_room has no effect.
         """
-        lines = outline_pixels(clicked.room, picture.grid)
+        lines = drawing.outline_pixels(clicked.room, picture.grid)
         patches = _patch_outlines(clicked.room, picture)
         return clicked_table(clicked) | {"lines": lines, "patches": patches}
 
@@ -213,7 +210,7 @@ def _patch_outlines(room: Room, picture: ClickedPicture) -> list[list[float]]:
     altitude_deg, azimuth_deg = float(at.altitude_deg[0]), float(at.azimuth_deg[0])
     if altitude_deg <= 0:
         return []
-    to_sun = direction(altitude_deg, azimuth_deg)[None]  # [1, 3]
+    to_sun = projection.direction(altitude_deg, azimuth_deg)[None]  # [1, 3]
     heading, size = picture.grid.heading_deg, _PATCH_HEIGHT_PX
     light = sun_patches(room, to_sun, 1.0, height=size, heading_deg=heading, sub=1)[0]  # [H, W]
     # Without the dim rim of a patch, where the sun is partly hidden. Chosen.

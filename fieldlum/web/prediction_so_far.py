@@ -21,8 +21,7 @@ import psutil
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import JsonTable, parse_utc, utc_text
-from fieldlum.session import Session
-from fieldlum.session.codec import to_json
+from fieldlum.session import Session, codec
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import Sidecar, newest_sidecar
@@ -201,7 +200,7 @@ def read_answer(session: Session) -> JsonTable | None:
         "weather": year.weather.name,
         "synthetic": year.weather.synthetic,
         "warnings": [*year.model_warnings, *year.notes],
-        "protection": to_json(year.protection),
+        "protection": codec.to_json(year.protection),
     }
 
 

@@ -21,19 +21,17 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import psutil
 
-from fieldlum.capture import doctor
-from fieldlum.capture.steady_clock import boot_id
+from fieldlum.capture import doctor, steady_clock
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.false_colour import coloured, luminance_ends, png_of, shared_scale
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import JsonTable, Site, Slot, parse_utc, utc_text
 from fieldlum.optics.images import read_panorama
-from fieldlum.session import Session
+from fieldlum.session import Session, plan_file
 from fieldlum.session.day_files import decode_sample
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.journal import JournalEvent, decode_event
-from fieldlum.session.plan_file import read_plan
 from fieldlum.session.slot_states import SETTLED, SlotStates, apply_events, makeups_by_slot
 from fieldlum.sky import sun
 from fieldlum.web.prediction_so_far import QUIET_BEFORE_S, Moment
@@ -291,7 +289,7 @@ def is_running(journal: JournalFollower) -> bool:
     computer.
     """
     opened = journal.opened
-    if opened is not None and opened.get("boot_id") in ("", None, boot_id()):
+    if opened is not None and opened.get("boot_id") in ("", None, steady_clock.boot_id()):
         with suppress(ValueError, OverflowError):
             return psutil.pid_exists(int(opened.get("pid", 0)) or -1)
     return False
@@ -467,7 +465,7 @@ class Snapshots:
         with suppress(OSError, InputError):  # a damaged file: the earlier plan remains
             written_ns = self._session.plan.stat().st_mtime_ns
             if written_ns != self._plan[0]:
-                slots = sorted(read_plan(self._session.plan), key=lambda slot: slot.t_utc)
+                slots = sorted(plan_file.read_plan(self._session.plan), key=lambda slot: slot.t_utc)
                 self._plan = written_ns, slots
         return self._plan[1]
 

@@ -11,10 +11,9 @@ from msgspec import Meta, Struct
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, IrradianceSample
-from fieldlum.devices import Camera, DeviceUri, InstrumentInfo, Pyranometer
+from fieldlum.devices import Camera, DeviceUri, InstrumentInfo, Pyranometer, spn1
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.simulated.world import World, open_world
-from fieldlum.devices.spn1 import agreed_sample
 from fieldlum.session import Session
 
 
@@ -32,7 +31,7 @@ class SimulatedSpn1(Pyranometer):
 
     def read(self) -> IrradianceSample:
         """Return a reading on which two answers agree; raise DeviceError if none do."""
-        return agreed_sample(self._clock.now(), self.answer)
+        return spn1.agreed_sample(self._clock.now(), self.answer)
 
     def answer(self) -> bytes:
         """Return the instrument's answer to the command S, without the echo."""

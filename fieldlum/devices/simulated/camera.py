@@ -16,13 +16,10 @@ from fieldlum.devices import Camera, CameraInfo, nearest
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.world import World, detail_of
-from fieldlum.optics import linear_light
+from fieldlum.optics import images, linear_light, projection, raw
 from fieldlum.optics.camera_curves import vignetting_at
 from fieldlum.optics.exposure import z_per_cdm2
-from fieldlum.optics.images import RADIANCE_Y
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.projection import relative_radius
-from fieldlum.optics.raw import channel_positions
 from fieldlum.optics.raw.writing import write_dng, write_jpeg
 from fieldlum.session import exposure_text
 
@@ -49,16 +46,7 @@ def camera_from_scene(profile: CameraProfile) -> Floats:
     colour = profile.colour
     if colour.rgb_to_radiance:
         return np.linalg.inv(np.reshape(colour.rgb_to_radiance, (3, 3)))
-    return np.tile(np.asarray(RADIANCE_Y) / sum(colour.y_from_rgb), (3, 1))
-
-
-def camera_channels(scene: Floats32, profile: CameraProfile) -> Floats32:
-    """Return the camera channels of a scene by the profile's colour, in cd/m2, [h, w, 3].
-
-    scene: R, G, B on the sensor, [h, w, 3], or luminance of a grey scene, [h, w, 1], in cd/m2.
-    """
-    matrix = camera_from_scene(profile).astype(np.float32)
-    return scene * matrix.sum(axis=1) if scene.shape[-1] == 1 else scene @ matrix.T
+    return np.tile(np.asarray(images.RADIANCE_Y) / sum(colour.y_from_rgb), (3, 1))
 
 
 def mosaic_of(image: Floats32, cfa: str) -> Floats32:
@@ -68,7 +56,7 @@ def mosaic_of(image: Floats32, cfa: str) -> Floats32:
     row, such as RGGB.
     """
     mosaic = np.empty(image.shape[:2], np.float32)
-    for (row, column), channel in zip(channel_positions(cfa), (0, 1, 1, 2), strict=True):
+    for (row, column), channel in zip(raw.channel_positions(cfa), (0, 1, 1, 2), strict=True):
         mosaic[row::2, column::2] = image[row::2, column::2, channel]
     return mosaic
 
@@ -80,7 +68,7 @@ def _mosaic_of_values(cfa: str, values: tuple[float, ...], shape: tuple[int, int
     cfa: letters of a cell of 2 x 2 pixels, row by row, such as RGGB; shape: (height, width).
     """
     mosaic = np.empty(shape, np.float32)
-    for (row, column), value in zip(channel_positions(cfa), values, strict=True):
+    for (row, column), value in zip(raw.channel_positions(cfa), values, strict=True):
         mosaic[row::2, column::2] = value
     return mosaic
 
@@ -241,7 +229,9 @@ class SimulatedCamera(Camera):
             lenses = (linear_light.lens_geometry(lens, turn_deg) for lens in self._profile.lens)
             sampled = (self._shape, (height, width), grid)
             views = [optics.lens_sampling(lens, *sampled) for lens in lenses]
-            image = camera_channels(optics.on_sensor(panorama, views, self._shape), self._profile)
+            image = optics.on_sensor(panorama, views, self._shape)  # R, G, B, or grey
+            matrix = camera_from_scene(self._profile).astype(np.float32)
+            image = image * matrix.sum(axis=1) if image.shape[-1] == 1 else image @ matrix.T
             if not self._is_jpeg:
                 image = mosaic_of(image, self._profile.sensor.cfa)
             self._last = (panorama, heading_deg, image)
@@ -254,7 +244,7 @@ class SimulatedCamera(Camera):
         for lens in self._profile.lens:
             curve, _ = linear_light.vignetting_of(lens, f_number)
             for row, factors_of_row in enumerate(factors):
-                radius = relative_radius(lens, columns, row + 0.5)
+                radius = projection.relative_radius(lens, columns, row + 0.5)
                 inside = radius <= 1.0
                 angle_rad = optics.angle_of_radius(lens, radius[inside])
                 factors_of_row[inside] = vignetting_at(curve, angle_rad / lens.half_angle_rad)

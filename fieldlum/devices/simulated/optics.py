@@ -13,7 +13,7 @@ from fieldlum.devices.simulated.world import detail_of
 from fieldlum.optics import projection
 from fieldlum.optics.projection import LensGeometry, angle_of_radius, lens_pixels, lens_rays
 from fieldlum.room.scene.trace import DISC_RAYS, SUN_RADIUS_DEG, disc_rays
-from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
+from fieldlum.sky.sky_view.picture import SkyGrid
 
 _SUBSAMPLES = 3  # directions per sensor pixel and axis; chosen, not measured
 # Standard deviation of the lens's blur. Without a finer part of the panorama it is applied to the
@@ -98,19 +98,6 @@ def channels(panorama: Panorama) -> Floats32:
     return (RADIANCE_LM_PER_W * np.asarray(panorama.rgb, np.float32)).reshape(-1, 3)
 
 
-def _fine_channels(detail: SkyPicture, flat: Floats32, panorama: Panorama) -> Floats32:
-    """Return the channels of a panorama's finer picture [cd/m2], [h * w, 1 or 3].
-
-    detail : the finer picture, which has luminance only; flat : channels of the panorama, as
-    `channels` returns them, from which each finer pixel has its colour.
-    """
-    rays = replace(detail.grid, heading_deg=0.0).rays().reshape(-1, 3)
-    coarse = projection.flat_pixels(rays, panorama.luminance_cdm2.shape, 0.0)
-    luminance = panorama.luminance_cdm2.ravel()[coarse]
-    ratio = detail.luminance_cdm2.ravel() / np.maximum(luminance, 1e-9)
-    return flat[coarse] * np.where(np.isfinite(ratio), ratio, 1.0)[:, None].astype(np.float32)
-
-
 def on_sensor(panorama: Panorama, views: list[LensSampling], sensor: tuple[int, int]) -> Floats32:
     """Return the mean R, G, B [cd/m2] of the light on each sensor pixel, [h, w, 3]; grey [h, w, 1].
 
@@ -121,7 +108,13 @@ def on_sensor(panorama: Panorama, views: list[LensSampling], sensor: tuple[int, 
     flat = channels(panorama)
     detail = detail_of(panorama)
     if detail is not None:
-        flat = np.concatenate((flat, _fine_channels(detail, flat, panorama)))
+        # the finer picture has luminance only: its pixels have their colour from the panorama
+        rays = replace(detail.grid, heading_deg=0.0).rays().reshape(-1, 3)
+        coarse = projection.flat_pixels(rays, panorama.luminance_cdm2.shape, 0.0)
+        luminance = panorama.luminance_cdm2.ravel()[coarse]
+        ratio = detail.luminance_cdm2.ravel() / np.maximum(luminance, 1e-9)
+        ratio = np.where(np.isfinite(ratio), ratio, 1.0)[:, None].astype(np.float32)
+        flat = np.concatenate((flat, flat[coarse] * ratio))
     out = np.zeros((sensor[0] * sensor[1], flat.shape[1]), np.float32)
     for view in views:
         out[view.pixels] = view.weights @ flat

@@ -33,8 +33,7 @@ from fieldlum.learn.models import ModelState, Patch, Prediction, deserialised, s
 from fieldlum.learn.models.baselines import Domain, domain_of
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_rays, signed_angle_deg
-from fieldlum.session import replacing
-from fieldlum.session.codec import data_digest
+from fieldlum.session import codec, replacing
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import reinhart_patches
 
@@ -556,7 +555,7 @@ def fit(
         spent_s = rank_0_value(time.monotonic() - start_s, device)
         plan = affordable_run(trainer, budget_s and max(budget_s - spent_s, 0.0))
     run, best = replace(plan), trainer.weights()
-    mark = data_digest(data.digest(), patch, seed, shape)
+    mark = codec.data_digest(data.digest(), patch, seed, shape)
     if checkpoint is not None and checkpoint.is_file():
         run, best = restore(checkpoint, trainer, mark)
     # A continued training began earlier, by the time that its checkpoint states.

@@ -21,14 +21,8 @@ from fieldlum.core.arrays import ArrayLike, Floats, Floats32, Indices, Mask, eve
 from fieldlum.core.errors import input_errors
 from fieldlum.learn.models import deserialised
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.optics.projection import (
-    across_axes,
-    altitude_azimuth_deg,
-    direction,
-    equirect_rays,
-    equirect_solid_angles,
-    flat_pixels,
-)
+from fieldlum.optics import projection
+from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_rays, flat_pixels
 from fieldlum.room.scene.box_room import glass_optics
 from fieldlum.session.codec import read_arrays
 from fieldlum.session.files.model_files import ModelConfig
@@ -89,17 +83,6 @@ def mirrored(suns: ArrayLike, normal: ArrayLike) -> Floats:
     """
     suns, normal = np.asarray(suns, float), np.asarray(normal, float)
     return suns - 2.0 * (suns @ normal)[:, None] * normal
-
-
-def ring_around(towards: Floats, angle_rad: float) -> Floats:
-    """Return eight directions at an angle around each of n directions, [8, n, 3].
-
-    towards: unit vectors [n, 3], as the results.
-    """
-    right, up = across_axes(towards)
-    turns = np.arange(8)[:, None, None] * np.pi / 4.0
-    ring = np.cos(turns) * right + np.sin(turns) * up
-    return np.cos(angle_rad) * towards + np.sin(angle_rad) * ring
 
 
 def tolerance_rad(height: int) -> float:
@@ -322,8 +305,11 @@ class Mirror:
         towards, cosine = mirrored(suns, self.normal), suns @ self.normal
         # Standard deviation of an image's place over `tolerance_rad`, which no place exceeds
         reach = 0.5 * tolerance_rad(len(self.chance))
-        # The image's own direction first, then eight around it.
-        directions = np.concatenate((towards[None], ring_around(towards, reach)))  # [9, n, 3]
+        right, up = projection.across_axes(towards)
+        turns = np.arange(8)[:, None, None] * np.pi / 4.0
+        ring = np.cos(turns) * right + np.sin(turns) * up
+        around = np.cos(reach) * towards + np.sin(reach) * ring  # [8, n, 3]
+        directions = np.concatenate((towards[None], around))  # the image's own one is the first
         places = flat_pixels(directions, self.chance.shape, heading_deg)
         chances = self.chance.reshape(-1)[places]  # [9, n]
         ahead = (cosine > 0.0) & (light.direct_lx > 0.0) & (suns[:, 2] > 0.0)
@@ -416,7 +402,8 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     places = flat_pixels(towards, data.shape, data.heading_deg)  # of the image in each capture [n]
     visible = np.isin(np.arange(len(data)), rows)
     limit = np.array([sun_disc.brightest_surface_cdm2(float(dni)) for dni in data.light.dni_wm2])
-    bright = factor * full_lx / equirect_solid_angles(*data.shape).reshape(-1)[places]  # cd/m2
+    solid_sr = projection.equirect_solid_angles(*data.shape).reshape(-1)[places]
+    bright = factor * full_lx / solid_sr  # cd/m2
     # Images next to the sun, where `bright_spots` does not search, are at a grazing angle.
     front = suns @ plane.normal > np.sin(near_sun_rad(data.shape[0]) / 2.0)
     # Captures that would show the image, twice as bright as any surface, if nothing hid it.

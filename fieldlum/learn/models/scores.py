@@ -22,10 +22,9 @@ from fieldlum.learn.models.held_out_choice import HeldOutErrors, choice_weights
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import SEEN
 from fieldlum.session.files.model_files import HeldOutMaps, ScoreFigures
-from fieldlum.sky import sun
+from fieldlum.sky import sun, sun_disc
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.visible_disc import disc_lx
-from fieldlum.sky.sun_disc import add_disc
 from fieldlum.year.glare import metrics
 from fieldlum.year.glare.sources import Views, panorama_views, view_azimuths_deg
 
@@ -155,7 +154,7 @@ def _chunks(rows: Ints64) -> Iterator[Ints64]:
 
 def _rammg(maps: Floats32, data: Dataset) -> Floats:
     """Return RAMMG of maps of n hours [n, H, W], with the true sun disc of `data`, [n] cd/m2."""
-    with_disc = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
+    with_disc = sun_disc.add_disc(maps, data.light, data.disc_lx, data.heading_deg)
     return np.array([metrics.rammg(image) for image in with_disc])
 
 
@@ -181,7 +180,7 @@ def evaluate(fitted: Fitted, test: Truth) -> Scores:
 
 def _log10(maps: Floats32, data: Dataset) -> Floats32:
     """Return log10 L of maps [n, H, W] of the n hours of `data`, with the true sun disc."""
-    with_disc = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
+    with_disc = sun_disc.add_disc(maps, data.light, data.disc_lx, data.heading_deg)
     return np.log10(np.maximum(with_disc, np.float32(FLOOR_CDM2)))
 
 

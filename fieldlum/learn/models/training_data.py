@@ -20,22 +20,18 @@ from fieldlum.optics.images import read_panorama, stated_heading_deg
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.pair.camera_sky_view import is_outdated
 from fieldlum.room.scene.sun_patches import sun_patches
-from fieldlum.session import Session, marks, open_session
-from fieldlum.session.codec import data_digest
+from fieldlum.session import Session, codec, marks, open_session, site_toml
 from fieldlum.session.files.model_files import UsedScene
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.sidecar import warn_if_picture_changed
 from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
-from fieldlum.session.site_toml import load_site, site_table
-from fieldlum.sky import sun
+from fieldlum.sky import picture_axes, sun, sun_disc
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.picture_axes import DISC_SHARE, sun_elsewhere, wrong_axes
 from fieldlum.sky.sky_view.estimate_from_captures import Captured, sky_view_of
 from fieldlum.sky.sky_view.measured_discs import NO_DISCS, MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyPicture, cut_panorama
 from fieldlum.sky.sky_view.sky_directions import BEAM_LX
 from fieldlum.sky.sky_view.view import SKY_VIEW, SkyView
-from fieldlum.sky.sun_disc import find_disc, without_disc
 
 _SLOT_ID = re.compile(r"\d{8}T\d{6}Z")
 
@@ -92,7 +88,7 @@ class Dataset:
 
     def digest(self) -> str:
         """Return the SHA-256 of all fields but `source`, `sky_view` and `disc_deg`, in hex."""
-        return data_digest(replace(self, source="", sky_view=None, disc_deg=None))
+        return codec.data_digest(replace(self, source="", sky_view=None, disc_deg=None))
 
     def take(self, index: Array | Sequence[int]) -> Dataset:
         """Return some of the n hours, selected by `index`.
@@ -137,7 +133,7 @@ class Dataset:
         one was used; training: {"source", "slots", "days"} of the captures.
         """
         return {
-            "setup": site_table(self.setup),
+            "setup": site_toml.site_table(self.setup),
             "heading_deg": self.heading_deg,
             "height": self.shape[0],
             "width": self.shape[1],
@@ -258,14 +254,14 @@ def _find_setup(path: Path, site: Path | None) -> SiteFile:
     path: of the csv. Raises InputError if there is no site.
     """
     if site is not None:
-        return load_site(site)
+        return site_toml.load_site(site)
     # The folder "truth" of a simulated session has the csv of the true maps.
     of_truth = (path.parent.parent,) if path.parent.name == "truth" else ()
     for folder in (path.parent, *of_truth):
         if (folder / "session.toml").is_file():
             return open_session(folder).site_file()
     if (path.parent / "site.toml").is_file():
-        return load_site(path.parent / "site.toml")
+        return site_toml.load_site(path.parent / "site.toml")
     finding, remedy = "no site file belongs to this csv", "write SITE.toml with: fieldlum new"
     raise InputError(path, finding, "site.toml next to the csv, or --site SITE.toml", remedy)
 
@@ -381,15 +377,15 @@ def _notes_on_discs(path: Path, data: Dataset) -> list[str]:
         position = (float(light.apparent_altitude_deg[k]), float(light.sun_azimuth_deg[k]))
         beam_lx, dni_wm2 = float(light.direct_lx[k]), float(light.dni_wm2[k])
         picture = data.luminance_cdm2[k]
-        disc = find_disc(picture, data.heading_deg, near_deg=position, dni_wm2=dni_wm2)
+        disc = sun_disc.find_disc(picture, data.heading_deg, near_deg=position, dni_wm2=dni_wm2)
         left += disc is not None and disc.normal_lx > _DISC_LEFT * beam_lx
-        place = sun_elsewhere(picture, data.heading_deg, beam_lx)
-        if place is None and data.disc_lx[k] > DISC_SHARE * beam_lx:
+        place = picture_axes.sun_elsewhere(picture, data.heading_deg, beam_lx)
+        if place is None and data.disc_lx[k] > picture_axes.DISC_SHARE * beam_lx:
             place = position
         if place is not None:
             suns.append(position)
             shown.append(place)
-    wrong = wrong_axes(suns, shown, data.heading_deg, data.shape[0])
+    wrong = picture_axes.wrong_axes(suns, shown, data.heading_deg, data.shape[0])
     found = f"the sun's disc is learnt as sky in {counted(left, 'picture')}"
     notes = [f"WARNING: {found}: write sun_in_map = 1 into the csv and train again"] if left else []
     if wrong is None:
@@ -462,21 +458,12 @@ def take_disc_out(
     for pictures, place in ((data.luminance_cdm2, shown), (data.patch_cdm2, at)):
         if pictures is None:
             continue
-        disc = find_disc(pictures[k], data.heading_deg, near_deg=place, dni_wm2=dni_wm2)
+        disc = sun_disc.find_disc(pictures[k], data.heading_deg, near_deg=place, dni_wm2=dni_wm2)
         data.disc_lx[k] = 0.0 if disc is None else disc.normal_lx
         if disc is not None:
-            pictures[k] = without_disc(pictures[k], disc)
+            pictures[k] = sun_disc.without_disc(pictures[k], disc)
             azimuth_off_deg = float(signed_angle_deg(disc.azimuth_deg - place[1]))
             data.disc_deg[k] = at[0] + disc.altitude_deg - place[0], at[1] + azimuth_off_deg
-
-
-def _with_patches(path: Path, rows: Sequence[PairRow]) -> bool:
-    """Return whether the rows of the file `path` have sun patches; InputError if only some have."""
-    without = [row.line for row in rows if not row.sunpatch]
-    if 0 < len(without) < len(rows):
-        finding = f"line {without[0]}: the cell of column sunpatch is empty, but not in other rows"
-        raise InputError(path, finding, "a sunpatch in all rows or in none", "correct the column")
-    return not without
 
 
 def read_pictures(
@@ -497,7 +484,11 @@ def read_pictures(
     shape, heading = first.luminance_cdm2.shape, _heading_deg(first, pictures[0], setup)
     size_and_heading = (shape, heading)  # of all pictures
     maps = np.empty((len(rows), *shape), np.float32)
-    patches = np.empty_like(maps) if _with_patches(path, rows) else None
+    without = [row.line for row in rows if not row.sunpatch]
+    if 0 < len(without) < len(rows):
+        finding = f"line {without[0]}: the cell of column sunpatch is empty, but not in other rows"
+        raise InputError(path, finding, "a sunpatch in all rows or in none", "correct the column")
+    patches = None if without else np.empty_like(maps)
     disc_lx, clipped_count = np.zeros(len(rows)), 0
     masks, counts = np.empty(maps.shape, bool), np.empty(maps.shape, np.float16)
     for k, row in enumerate(rows):

@@ -23,18 +23,9 @@ from fieldlum.core.records import counted
 from fieldlum.core.statistics import standard_error
 from fieldlum.learn.models import ModelState, Patch, Prediction, deserialised, state_of
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.learn.transport import solve
+from fieldlum.learn.transport import solve, training_arrays
 from fieldlum.learn.transport.physics import Physics, physics_of
-from fieldlum.learn.transport.training_arrays import (
-    MIN_CDM2,
-    OpenSky,
-    PatchLight,
-    StateColumns,
-    TrainingArrays,
-    computed_light,
-    seen_sky,
-    training_arrays_of,
-)
+from fieldlum.learn.transport.training_arrays import MIN_CDM2, OpenSky, PatchLight, TrainingArrays
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.scene.sun_patches import sun_patches
 from fieldlum.session.site_toml import site_from_table
@@ -94,7 +85,7 @@ class Transport:
     kernel: Kernel
     captured: Features
     projector: Array
-    states: StateColumns
+    states: training_arrays.StateColumns
     open_sky: OpenSky
     pixels: solve.PixelFit
     uncertainty: Uncertainty
@@ -322,7 +313,12 @@ def fit(data: Dataset, *, patch: Patch = "absolute", seed: int = 0) -> Transport
         fitted, errors = _fit_chosen(_choose_inputs(_candidates_of(data, patch, seed)))
     with part_of_progress(1, 2):
         other, other_errors = _fit_chosen(_choose_with_or_without_room(stated, patch, seed))
-    return _mean_model(fitted, errors, other, other_errors, len(data))
+    # The shares have the least squared held-out error; the first tests are of held-out days.
+    gap = other_errors - errors
+    best = float((other_errors * gap).sum() / max((gap**2).sum(), 1e-9))
+    share = float(np.clip(best, 0.0, MAX_SHARE))
+    mixed = share * errors + (1.0 - share) * other_errors  # of log10 luminance, [k, P]
+    return MeanTransport(fitted, other, share, (mixed[: len(data)] ** 2).mean(axis=1))
 
 
 def _as_stated(data: Dataset) -> Dataset | None:
@@ -358,22 +354,6 @@ def _choose_with_or_without_room(data: Dataset, patch: Patch, seed: int) -> _Cho
         return stated
     chosen = _choose_inputs(candidates)
     return chosen if chosen.expected_mse < MAX_ROOMLESS_RATIO * stated.expected_mse else stated
-
-
-def _mean_model(
-    fitted: Transport, errors: Array, stated: Transport, stated_errors: Array, count: int
-) -> MeanTransport:
-    """Return the mean of two models, with the shares that have the least squared held-out error.
-
-    errors, stated_errors: of each model in the tests of `calibrate`: log10 of predicted over
-    captured luminance in k tests at P pixels [k, P], of which the first `count` tests are of
-    held-out days.
-    """
-    gap = stated_errors - errors
-    best = float((stated_errors * gap).sum() / max((gap**2).sum(), 1e-9))
-    share = float(np.clip(best, 0.0, MAX_SHARE))
-    mixed = share * errors + (1.0 - share) * stated_errors
-    return MeanTransport(fitted, stated, share, (mixed[:count] ** 2).mean(axis=1))
 
 
 class _Candidates(NamedTuple):
@@ -444,7 +424,7 @@ def _candidates_of(data: Dataset, patch: Patch, seed: int) -> _Candidates:
         finding = f"{counted(len(data), 'capture')}; light transport needs at least 3"
         raise NotEnoughDataError(f"{finding}; capture more hours")
     progress(0, 100, "describing light")
-    arrays = training_arrays_of(data, with_patch=patch != "none")
+    arrays = training_arrays.training_arrays_of(data, with_patch=patch != "none")
     scale = None
     if arrays.patch is not None:
         scale = solve.patch_scale(arrays)
@@ -477,7 +457,12 @@ def _choose_inputs(candidates: _Candidates) -> _Chosen:
     data, tried = candidates.data, [candidates.errors(inputs) for inputs in candidates.inputs]
     k = int(np.mean(tried, axis=1).argmin())
     best, errors = candidates.inputs[k], tried[k]
-    lit = _with_lamp(best, candidates.kernel)
+    # one more lamp, which is on in every hour not marked lamp=off
+    states = replace(best.arrays.states, always=True)
+    lamps = states.features(best.arrays.light).lamps
+    features = replace(best.arrays.features, lamps=lamps)
+    arrays = replace(best.arrays, states=states, features=features)
+    lit = _fit_inputs(arrays, candidates.kernel, replace(best.perez, lamps=lamps))
     gain = errors - candidates.errors(lit)
     # one day has no standard error
     if gain.mean() > np.fmax(0.3 * errors.mean(), standard_error(gain, data.days)):
@@ -490,15 +475,6 @@ def _choose_inputs(candidates: _Candidates) -> _Chosen:
     means = [float(hours.mean()) for hours in tried]
     k = int(np.argmin(means))
     return _Chosen(candidates, best, mse=means[k], noise=noises[k])
-
-
-def _with_lamp(inputs: _FitInputs, kernel: Kernel) -> _FitInputs:
-    """Return the inputs with one more lamp, which is on in every hour not marked lamp=off."""
-    states = replace(inputs.arrays.states, always=True)
-    lamps = states.features(inputs.arrays.light).lamps
-    features = replace(inputs.arrays.features, lamps=lamps)
-    arrays = replace(inputs.arrays, states=states, features=features)
-    return _fit_inputs(arrays, kernel, replace(inputs.perez, lamps=lamps))
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -559,14 +535,15 @@ def _candidate_inputs(
         arrays = replace(arrays, features=replace(arrays.features, bounced=bounced))
         perez = physics.luminance(light, sunlight, seen)
     # Fewer than four days do not show that other skies are better.
-    sky = seen_sky(arrays) if len(np.unique(arrays.days)) >= 4 else None
+    sky = training_arrays.seen_sky(arrays) if len(np.unique(arrays.days)) >= 4 else None
     out = []
     for shown in (None,) if sky is None else (None, sky):
         under_sky = arrays if shown is None else arrays.under(shown)
         out.append(_fit_inputs(under_sky, kernel, arrays.features))
         if physics is not None and sunlight is not None and perez is not None:
             under = perez if shown is None else physics.luminance(light, sunlight, seen, shown)
-            lit = replace(under_sky, computed=computed_light(under_sky, under, perez))
+            computed = training_arrays.computed_light(under_sky, under, perez)
+            lit = replace(under_sky, computed=computed)
             out.append(out[-1]._replace(arrays=lit))
     return out
 

@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Floats32, Mask
 from fieldlum.core.records import Room, Site, SiteFile
 from fieldlum.optics.projection import equirect_solid_angles, wrapped
-from fieldlum.room.scene import build
-from fieldlum.room.scene.box_room import is_box_with_window
-from fieldlum.room.scene.radiosity import FIRST_PIECE, lit_room
+from fieldlum.room.scene import box_room, build, radiosity
 from fieldlum.room.scene.trace import SunPoints, sun_points
 from fieldlum.sky.daylight import Light, light_at
 
@@ -143,7 +141,7 @@ def physics_of(setup: SiteFile, heading_deg: float) -> Physics | None:
     heading_deg: azimuth of the maps' centre column, clockwise from north. The last four models are
     kept in memory. Raises InputError for an impossible room.
     """
-    if not is_box_with_window(setup.room):
+    if not box_room.is_box_with_window(setup.room):
         return None
     return _physics_of(replace(setup, camera=replace(setup.camera, heading_deg=heading_deg)))
 
@@ -156,7 +154,7 @@ def _physics_of(setup: SiteFile) -> Physics:
     Review 53, 2011), so that no singular values of the complete matrix are needed.
     """
     assert setup.room is not None
-    lit = lit_room(setup, height=HEIGHT, quality=QUALITY)
+    lit = radiosity.lit_room(setup, height=HEIGHT, quality=QUALITY)
     pieces = lit.pieces
     reflect = (pieces.reflectance / np.pi).astype(np.float32)[:, None]  # lx to cd/m2 [p, 1]
     root = np.sqrt(equirect_solid_angles(HEIGHT, 2 * HEIGHT)).reshape(-1, 1)  # [2 h^2, 1]
@@ -164,7 +162,7 @@ def _physics_of(setup: SiteFile) -> Physics:
     # The transposed light transport carries random pictures back to the pieces.
     pictures = np.random.default_rng(0).standard_normal((len(root), count)) * root
     points = lit.smooth.T @ (lit.to_pixels.T @ pictures)
-    first = lit.point_coefficients[:, FIRST_PIECE:].T @ points  # without bounces [p, k]
+    first = lit.point_coefficients[:, radiosity.FIRST_PIECE :].T @ points  # without bounces [p, k]
     bounces = lit.bounce_coefficients.T.tocsr()
     total = first
     # Each bounce leaves less than half of the light, so that the rest is below a millionth.
@@ -172,7 +170,7 @@ def _physics_of(setup: SiteFile) -> Physics:
         total = first + bounces @ (reflect * total)
     modes = np.linalg.qr(reflect * total)[0].astype(np.float32)  # [p, k]
     sky_modes = _sky_modes(setup.site)
-    dark = np.zeros((FIRST_PIECE, count), np.float32)  # sky and ground, without light
+    dark = np.zeros((radiosity.FIRST_PIECE, count), np.float32)  # sky and ground, without light
     sun_light = lit.pixels_cdm2(lit.columns(dark, modes)).T.astype(np.float32)  # [k, 2 h^2]
     weighted = sun_light * root.ravel()
     values, vectors = np.linalg.eigh(weighted @ weighted.T)
@@ -191,15 +189,10 @@ def _physics_of(setup: SiteFile) -> Physics:
         sky_modes=sky_modes,
         sky_light=lit.pixels_cdm2(lit.columns(sky_modes.T)).T.astype(np.float32),
     )
-    return replace(physics, comparison=physics.comparison / _sunny_norm(physics, setup.site))
-
-
-def _sunny_norm(physics: Physics, site: Site) -> np.float32:
-    """Return the norm of the features per share of direct sun when the sun is in the room.
-
-    It is the third quartile over the clear hours of a year with such sun, 1 without any.
-    """
-    clear = _light_of_year(site, 800.0, 100.0)
+    # Norm of the features per share of direct sun when the sun is in the room: third quartile over
+    # the clear hours of a year with such sun, 1 without any.
+    clear = _light_of_year(setup.site, 800.0, 100.0)
     size = np.linalg.norm(physics.features(clear, physics.sunlight(clear)), axis=1)
     size = size * clear.total_lx / np.maximum(clear.direct_lx, 1.0)
-    return np.float32(np.percentile(size[size > 0.0], 75) if (size > 0.0).any() else 1.0)
+    norm = np.float32(np.percentile(size[size > 0.0], 75) if (size > 0.0).any() else 1.0)
+    return replace(physics, comparison=physics.comparison / norm)

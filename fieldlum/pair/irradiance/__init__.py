@@ -16,11 +16,9 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import IrradianceSample, Site, counted
 from fieldlum.pair.irradiance import consistency
-from fieldlum.session import Session, day_files, read_day, remove_scraps, sha256
-from fieldlum.session.codec import convert, current_note, write_object
+from fieldlum.session import Session, codec, day_files, read_day, remove_scraps, sha256
 from fieldlum.session.files.irradiance_csv import DERIVED, MEASURED, CleanIrradiance
-from fieldlum.sky import sun
-from fieldlum.sky.log_clock_offset import CLOCK_WARN_S, clock_off_s
+from fieldlum.sky import log_clock_offset, sun
 
 # DIRINT uses neighbouring minutes, but not across a longer gap than this; chosen
 _SEGMENT_GAP_S = 1800.0
@@ -365,7 +363,7 @@ def health(
     passed = float(np.mean((clean.marks[testable] & Mark.CLOSURE) == 0)) if testable.any() else None
     seconds = np.diff(clean.t_unix_s)
     gaps = seconds[seconds > 2.5 * local_period_s(clean.t_unix_s)[1:]]
-    clock_off = clock_off_s(raw.t_unix_s, raw.ghi_wm2, site)
+    clock_off = log_clock_offset.clock_off_s(raw.t_unix_s, raw.ghi_wm2, site)
     counts = {mark: int(np.sum((clean.marks & mark) != 0)) for mark in Mark}
     of_log, zone = _of_log(offset, passed, clock_off, damaged), ZoneInfo(site.timezone)
     return Health(
@@ -404,7 +402,7 @@ def _of_log(
     if closure is not None and closure < 0.8:
         share = f"global = diffuse + direct is true in only {100 * closure:.0f} % of the rows"
         yield f"{share}: check the clock and the tilt of the instruments"
-    if off_s is not None and abs(off_s) > CLOCK_WARN_S:
+    if off_s is not None and abs(off_s) > log_clock_offset.CLOCK_WARN_S:
         yield (
             f"the middle of the logged daylight is {off_s / 60:+.0f} min from solar noon: check "
             "the logger's clock, --logger-utc-offset (daylight saving?) and longitude_deg, and "
@@ -502,10 +500,10 @@ def run(session: Session, *, force: bool = False) -> Health:
     site = session.site_file().site
     digests = {path.name: sha256(path) for path in files}
     inputs = {"recipe": _RECIPE, "files": digests, "site": asdict(site)}
-    table = None if force else current_note(note, inputs, [clean])
+    table = None if force else codec.current_note(note, inputs, [clean])
     if table is not None:
         with suppress(ValueError):  # a user edited it: compute it again
-            return convert(table, Health)
+            return codec.convert(table, Health)
     raw, damaged = _read(files)
     if len(raw) == 0:
         cause = f"all {damaged} logged lines are damaged" if damaged else "no irradiance was logged"
@@ -519,7 +517,7 @@ def run(session: Session, *, force: bool = False) -> Health:
     series = with_dirint(checked, altitude, site)
     quality = health(raw, series, altitude, top, damaged, site)
     clean_of(series).write(clean)
-    write_object(note, {**asdict(quality), "inputs": inputs})
+    codec.write_object(note, {**asdict(quality), "inputs": inputs})
     return quality
 
 

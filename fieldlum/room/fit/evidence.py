@@ -14,10 +14,10 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
 from fieldlum.core.statistics import cauchy_weights
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
+from fieldlum.optics.projection import direction, equirect_solid_angles, signed_angle_deg
+from fieldlum.room.fit import renderer
 from fieldlum.room.fit.guess import Guess, guess_of
 from fieldlum.room.fit.renderer import FLOOR, OUTSIDE, SHELL, Surfaces, surfaces, unit_patches
-from fieldlum.room.fit.skyline import Skyline, skyline_of
 from fieldlum.room.fit.sunny_hours import (
     MIN_SUNNY_HOURS,
     SUNSHINE_WM2,
@@ -28,6 +28,7 @@ from fieldlum.room.scene.box_room import is_box_with_window
 from fieldlum.room.scene.view import pixel_rays
 from fieldlum.sky import sun
 from fieldlum.sky.light_similarity import Kernel, facades_of, light_features
+from fieldlum.sky.sky_view.view import SkyView
 
 # From a study of two rooms rendered by Radiance, before this code was written. docs/scene.md has
 # later measurements.
@@ -378,3 +379,70 @@ def levelled(below: Floats, seen: Floats, patch: Floats, directions: Floats) -> 
         right = (weight * log_ratio) @ terms
         field = np.linalg.solve(normal, right[..., None])[..., 0] @ terms.T
     return below * np.exp(field)
+
+
+# ----------------------------------------------------------------------------------------------
+# the sky that the camera sees: window edges, buildings and trees outside
+
+# Directions on the upper half of the sphere, on a spiral of equal areas: 1.3 degrees apart. Chosen.
+_RAYS, _GOLDEN_DEG = 12000, 180.0 * (3.0 - 5**0.5)
+_MARGIN_DEG = 1.0  # from the stated edges of a window: 5 cm of a tape at 3 m
+# Openness from which a direction is open, and below which something is before the sky; largest
+# standard uncertainty of openness that counts. Chosen.
+_OPEN, _SHUT, _MAX_U = 0.85, 0.5, 0.3
+
+
+@dataclass(frozen=True)
+class Skyline:
+    """The sky in directions that the camera sees through the stated windows.
+
+    rays [s, 3]: unit vectors, x east, y north, z up by the stated heading; openness [s]: share of
+    the sky that is seen there, 0 to 1; spread: size of a pixel of the sky view, rad.
+    """
+
+    rays: Floats32
+    openness: Floats32
+    spread: float
+
+    def error(self, guess: Guess) -> Floats32:
+        """Return the guess's openness less the seen one, times the root of a ray's share, [s].
+
+        The share is of the full sphere, so that a direction counts as much as a pixel.
+        """
+        shown = renderer.sky_openness(guess, self.rays, self.spread)
+        return np.float32(np.sqrt(0.5 / _RAYS)) * (shown - self.openness)
+
+
+def skyline_of(view: SkyView | None, guess: Guess, latitude_deg: float) -> Skyline:
+    """Return the skyline that a sky view shows inside the windows of the stated guess.
+
+    Without a view it has no directions. A direction without open sky is omitted in two cases,
+    because it does not show a building. First: it is at least as high as something that hangs above
+    open sky in the same window, such as a blind, a canopy or a crown, and that the guess does not
+    have. Second: the sun is there on no day of the year, and merge stored no luminance
+    (transmittance 0 in the view). latitude_deg: of the place.
+    """
+    k = np.arange(_RAYS) + 0.5
+    rays = direction(np.degrees(np.arcsin(k / _RAYS)), _GOLDEN_DEG * k % 360.0).astype(np.float32)
+    spread, kept, openness = 0.0, np.zeros(_RAYS, bool), np.zeros(_RAYS, np.float32)
+    # a margin of a degree; that of merge is 3.4 degrees
+    highest = np.sin(np.radians(sun.OBLIQUITY_DEG + 1.0))
+    sun_passes = abs(rays @ sun.celestial_pole(latitude_deg)) < highest
+    if view is not None:
+        inside, row, column = view.grid.indices(rays)
+        known = np.where(view.u < _MAX_U, view.openness, np.float32(np.nan))
+        below = np.logical_or.accumulate((known > _OPEN)[::-1])[::-1]  # open there or below
+        openness = np.where(inside, known[row, column], np.float32(np.nan))
+        spread = np.radians(view.grid.step_deg)
+        margin = 2.0 * np.radians(_MARGIN_DEG) + spread
+        # of bars and solids that are stated
+        clear = renderer.sky_openness(guess, rays, margin) > _OPEN
+        for rect in guess.windows:
+            alone = replace(guess, windows=(rect,), solids=(), bars=())
+            # the margin is half a soft edge
+            glass = renderer.sky_openness(alone, rays, margin) > 0.99
+            hangs = glass & clear & (openness < _SHUT) & below[row, column]
+            lowest = rays[hangs, 2].min(initial=1.0)
+            decided = (rays[:, 2] < lowest) & (sun_passes | (view.transmittance[row, column] > 0.0))
+            kept |= glass & (openness >= np.where(decided, 0.0, _OPEN))
+    return Skyline(rays[kept], openness[kept], spread)

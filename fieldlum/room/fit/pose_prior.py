@@ -8,14 +8,8 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site, counted
 from fieldlum.room.fit.guess import Guess
 from fieldlum.room.fit.parameters import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
-from fieldlum.sky.sky_view.measured_discs import (
-    MIN_DISCS,
-    MIN_U_DEG,
-    NAMES,
-    MeasuredDiscs,
-    PoseFit,
-    fit_pose,
-)
+from fieldlum.sky.sky_view import measured_discs
+from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs, PoseFit, fit_pose
 
 # uncertainty of an equidistant model without a lens calibration; chosen, not measured
 _LENS_SCALE_SD = 0.01
@@ -55,7 +49,7 @@ def pose_of(
     uncertainty of the times. The other standard uncertainties before the fit are 2 degrees for
     north, 0.3 for tilt and roll, and 1 % for the lens scale.
     """
-    if len(discs) < MIN_DISCS:
+    if len(discs) < measured_discs.MIN_DISCS:
         return None
     prior = (NORTH_SD_DEG, LEVEL_SD_DEG, LEVEL_SD_DEG, _LENS_SCALE_SD, clock_sd_min)
     return fit_pose(discs, site, heading_deg, prior)
@@ -67,8 +61,9 @@ def prior_of(pose: PoseFit) -> PosePrior:
     The uncertainty of lens and mount, 0.02 degrees, is added (in quadrature) to those of the three
     angles.
     """
-    rows = [NAMES.index(name) for name in _FITTED]
-    covariance = pose.covariance[np.ix_(rows, rows)] + np.diag([MIN_U_DEG**2] * 3 + [0.0])
+    rows = [measured_discs.NAMES.index(name) for name in _FITTED]
+    least = np.diag([measured_discs.MIN_U_DEG**2] * 3 + [0.0])
+    covariance = pose.covariance[np.ix_(rows, rows)] + least
     return PosePrior(pose.values[rows], covariance)
 
 

@@ -118,12 +118,7 @@ def with_box_outside(guess: Guess, rect: WindowRect, along: Span, out: Span, hei
     wall_m = guess.size_m[axis]
     across = (wall_m + out[0], wall_m + out[1]) if side else (-out[1], -out[0])
     spans = (across, along) if axis == 0 else (along, across)
-    return _with_solid(guess, (*spans, height))
-
-
-def _with_solid(guess: Guess, spans: tuple[Span, Span, Span]) -> Guess:
-    """Return the guess with one more solid, by its extents (from, to) along x, y and z [m]."""
-    return replace(guess, solids=(*guess.solids, solid_of(*spans, ALBEDO)))
+    return replace(guess, solids=(*guess.solids, solid_of(*spans, height, ALBEDO)))
 
 
 def _barred(guess: Guess) -> Iterator[Guess]:
@@ -162,7 +157,7 @@ def _furnished(guess: Guess) -> Iterator[Guess]:
             solids.append((*plan, (0.0, min(top, height))))
     for spans in solids:
         if not _holds_camera(guess, spans):
-            yield _with_solid(guess, spans)
+            yield replace(guess, solids=(*guess.solids, solid_of(*spans, ALBEDO)))
 
 
 def _places(extent_m: float) -> list[float]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,19 +11,21 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
 from fieldlum.learn.models.training_data import Dataset, with_sky_view
-from fieldlum.room.fit.draw_scene import draw
+from fieldlum.room.fit import apply_scene, parameters, turned_windows
 from fieldlum.room.fit.fit import fit_scene
-from fieldlum.room.fit.parameters import CLOCK_SD_MIN
 from fieldlum.room.fit.pose_prior import pose_note, pose_of, prior_of
 from fieldlum.room.fit.scene_file import Chosen, Scene, write_scene
-from fieldlum.room.fit.sunny_hours import sunny_hours
-from fieldlum.room.fit.turned_windows import check_captures
-from fieldlum.session import Session, check_writable
+from fieldlum.room.fit.sunny_hours import direct_on_windows_lx, sunny_hours
+from fieldlum.room.scene.drawing import write_room
+from fieldlum.session import Session, check_writable, replacing_path
 from fieldlum.sky.sky_view.measured_discs import read_discs
+
+_SHOWN_HOURS = 4  # in the picture of the fit; chosen: one page in print
+_FITTED_COLOUR, _STATED_COLOUR = "#d62728", "#1f77b4"
 
 
 def run(
-    data: Dataset, out: Path, *, clock_sd_min: float = CLOCK_SD_MIN
+    data: Dataset, out: Path, *, clock_sd_min: float = parameters.CLOCK_SD_MIN
 ) -> tuple[Scene, list[Path]]:
     """Fit the scene of captures and write scene.toml, overlay.png and plan.svg.
 
@@ -38,7 +41,7 @@ def run(
         expected = "a box with a window, measured by tape"
         remedy = "add [room] to SITE.toml, or train with --scene none"
         raise InputError(data.source or "the site", "no [room]", expected, remedy)
-    check_captures(data, room)
+    turned_windows.check_captures(data, room)
     check_writable(out)
     data = with_sky_view(data)
     discs = read_discs(Session(Path(data.source).parent))
@@ -124,3 +127,48 @@ def choose_geometry(misfit: Mapping[str, float]) -> tuple[Chosen, str]:
             "the room has something that the scene lacks (slats, leaves, a slope); see overlay.png"
         )
     return chosen, reason
+
+
+def draw(folder: Path, data: Dataset, scene: Scene) -> list[Path]:
+    """Write overlay.png and plan.svg into a folder and return their paths.
+
+    overlay.png: edges of fitted and stated patches over up to four captures; plan.svg: the fitted
+    room from above. The folder is created; existing files are replaced. data: the captures of the
+    fit; scene: its `chosen` must be "fitted", as `fit_scene` returns it. Raises InputError
+    as `with_scene`.
+    """
+    figure = _overlay(data, scene)
+    with replacing_path(folder / "overlay.png") as temporary:
+        figure.savefig(temporary, dpi=110, bbox_inches="tight")
+    heading_deg = (data.heading_deg + scene.north_deg) % 360.0
+    camera = replace(data.setup.camera, heading_deg=heading_deg)
+    fitted = replace(data.setup, camera=camera, room=scene.room)
+    write_room(fitted, folder / "plan.svg")
+    return [folder / "overlay.png", folder / "plan.svg"]
+
+
+def _overlay(data: Dataset, scene: Scene) -> Any:
+    """Return a figure of up to four captures in grey, with the edges of fitted and stated patches.
+
+    A matplotlib Figure.
+    """
+    from matplotlib.figure import Figure
+
+    # of each quarter of the sunny hours, in time order, the one with most direct sun on a window
+    direct_lx = direct_on_windows_lx(data, data.setup.room)
+    parts = np.array_split(np.flatnonzero(sunny_hours(data, data.setup.room)), _SHOWN_HOURS)
+    rows = np.array([part[np.argmax(direct_lx[part])] for part in parts if len(part)])
+    hours = data.take(rows)
+    fitted = apply_scene.with_scene(hours, scene).patch_cdm2
+    stated = apply_scene.with_patches(hours).patch_cdm2
+    assert fitted is not None and stated is not None
+    figure = Figure(figsize=(9, 4.2 * len(rows)))
+    axes = figure.subplots(len(rows), 1, squeeze=False)
+    for k, axis in enumerate(axes[:, 0]):
+        axis.imshow(np.log10(np.maximum(hours.luminance_cdm2[k], 1.0)), cmap="gray")
+        for patch, colour in ((stated[k], _STATED_COLOUR), (fitted[k], _FITTED_COLOUR)):
+            if (patch > 0.0).any():
+                axis.contour(patch > 0.0, levels=[0.5], colors=[colour], linewidths=0.9)
+        axis.set_title(f"{hours.slots[k]}: patches fitted (red) and as stated (blue)", fontsize=9)
+        axis.set_axis_off()
+    return figure

@@ -10,9 +10,8 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
-from fieldlum.room.fit.evidence import MIN_CDM2, require_box
+from fieldlum.room.fit import evidence, renderer
 from fieldlum.room.fit.guess import guess_of
-from fieldlum.room.fit.renderer import OUTSIDE, surfaces
 from fieldlum.room.scene.view import pixel_rays
 
 _TURN_STEP_DEG = 10.0  # chosen: a third of the smallest turn that is reported
@@ -28,7 +27,7 @@ def check_captures(data: Dataset, room: Room) -> None:
     These are a room that is not a box, has no window or is impossible, and captures whose bright
     windows fit the room only after a turn of 30 degrees or more.
     """
-    require_box(room)
+    evidence.require_box(room)
     if finding := turned_windows_note(data, room):
         expected = "windows at the places stated in [room]"
         remedy = (
@@ -46,10 +45,10 @@ def turned_windows_note(data: Dataset, room: Room) -> str:
     """
     height, width = data.shape
     _, rays = pixel_rays(height, data.heading_deg, 1)
-    ends = surfaces(guess_of(room, data.heading_deg), rays.astype(np.float32))
-    glass = (ends.surface == OUTSIDE).reshape(height, width)
+    ends = renderer.surfaces(guess_of(room, data.heading_deg), rays.astype(np.float32))
+    glass = (ends.surface == renderer.OUTSIDE).reshape(height, width)
     omega = np.where(data.seen, equirect_solid_angles(height, width), 0.0)
-    level = np.log(np.maximum(np.median(data.luminance_cdm2, axis=0), MIN_CDM2))  # [H, W]
+    level = np.log(np.maximum(np.median(data.luminance_cdm2, axis=0), evidence.MIN_CDM2))  # [H, W]
     turns_px = np.arange(0, width, max(1, round(_TURN_STEP_DEG / 360.0 * width)))
     weights = [np.roll(glass, turn, axis=1) * omega for turn in turns_px]
     if min(weight.sum() for weight in weights) <= 0.0:

@@ -13,11 +13,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from fieldlum.core import strict_csv, strict_toml
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Window
-from fieldlum.core.strict_csv import read_table
-from fieldlum.core.strict_toml import convert
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_pixel
 from fieldlum.room.scene.box_room import FROM_HIGH_END, WALLS, room_axes
 
@@ -83,7 +82,7 @@ def read_clicks(path: Path) -> list[Click]:
     line).
     """
     expected, remedy = "a csv of clicks", "check the path of the csv"
-    table = read_table(path, expected, remedy)
+    table = strict_csv.read_table(path, expected, remedy)
     if table.names != COLUMNS:
         found = f"columns {','.join(table.names)[:80]}"
         expected = f"exactly the columns {','.join(COLUMNS)} in this order"
@@ -110,7 +109,7 @@ def _click(where: str, line: int, row: Any) -> Click:
     """
     expected = f"a kind of {', '.join(KINDS)}; numbers x_px and y_px; 1 to 50 for a window"
     try:
-        click = convert({**row, "window": row.get("window") or 0, "line": line}, Click)
+        click = strict_toml.convert({**row, "window": row.get("window") or 0, "line": line}, Click)
     except (AttributeError, TypeError, ValueError) as error:
         raise InputError(where, str(error)[:120], expected, "correct the click") from None
     if (click.kind in ("floor", "ceiling")) != (click.window == 0) or not 0 <= click.window <= 50:
@@ -240,7 +239,11 @@ def _start(
     azimuth_deg = _main_wall(ground, turn_deg, facing)
     distances = _distances(ground @ room_axes(azimuth_deg)[:2, :2].T, where)
     rays = rays @ room_axes(azimuth_deg).T
-    values, corners = [azimuth_deg, *_room_size(rays, clicks, distances, camera_height_m)], []
+    south, west, north, east = distances
+    ceiling = [ray for ray, click in zip(rays, clicks, strict=True) if click.kind == "ceiling"]
+    above_m = [float(np.mean(_factors(ray[:2], distances))) * ray[2] for ray in ceiling]
+    height_m = camera_height_m + float(np.mean(above_m))
+    values, corners = [azimuth_deg, west + east, south + north, height_m, west, south], []
     for ray, click in zip(rays, clicks, strict=True):
         ends = (float(ray[0] > 0), float(ray[1] > 0), float(click.kind == "ceiling"))
         corners.append(_Corner("", 0, ends) if click.kind in ("floor", "ceiling") else None)
@@ -302,19 +305,6 @@ def _distances(xy: Floats, where: str) -> list[float]:
         expected = "three corners of the floor around the camera"
         raise InputError(where, found, expected, "click a floor corner on the other side")
     return [float(part.mean()) for part in parts]
-
-
-def _room_size(
-    rays: Floats, clicks: Sequence[Click], distances: Sequence[float], camera_height_m: float
-) -> tuple[float, float, float, float, float]:
-    """Return width, depth and height of the room, and the camera's x and y, m.
-
-    rays: of the clicks, in room axes [n, 3]; distances: by `_distances`.
-    """
-    south, west, north, east = distances
-    ceiling = [ray for ray, click in zip(rays, clicks, strict=True) if click.kind == "ceiling"]
-    above_m = [float(np.mean(_factors(ray[:2], distances))) * ray[2] for ray in ceiling]
-    return west + east, south + north, camera_height_m + float(np.mean(above_m)), west, south
 
 
 def _factors(xy: Floats, distances: Sequence[float]) -> tuple[float, float]:

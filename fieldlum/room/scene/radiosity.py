@@ -18,8 +18,7 @@ from scipy.sparse import csr_matrix, vstack
 from fieldlum.core.arrays import Floats, Floats32, Indices, Ints8, Ints32, Ints64
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Panorama, Room, SiteFile, SunSource
-from fieldlum.optics import images, melanopic
-from fieldlum.optics.projection import across_axes, equirect_rays
+from fieldlum.optics import images, melanopic, projection
 from fieldlum.room.scene import trace
 from fieldlum.room.scene.box_room import BoxScene
 from fieldlum.room.scene.view import SceneView, SurfaceSamples, patch_rays, traced_view
@@ -217,7 +216,7 @@ def _hemispheres(normal: Floats, rays: int, rng: np.random.Generator) -> Floats:
     steps = np.array([0.7548776662466927, 0.5698402909980532])  # 1/g, 1/g^2 with g^3 = g + 1
     square = (np.arange(rays)[None, :, None] * steps + rng.random((len(normal), 1, 2))) % 1.0
     radius, turn = np.sqrt(square[..., :1]), 2.0 * np.pi * square[..., 1:]
-    side, up = across_axes(normal)
+    side, up = projection.across_axes(normal)
     toward = radius * (np.sin(turn) * up[:, None] - np.cos(turn) * side[:, None])
     toward += np.sqrt(1.0 - square[..., :1]) * normal[:, None]
     return toward.reshape(-1, 3)
@@ -374,7 +373,7 @@ class LitRoom:
         out = np.ascontiguousarray((self.to_pixels @ points_lx).T, np.float32) + sunlit_cdm2
         sky = self.view.sky.ravel()
         seen = np.flatnonzero(sky)
-        rays = equirect_rays(height, 2 * height, self.view.heading_deg).reshape(-1, 3)
+        rays = projection.equirect_rays(height, 2 * height, self.view.heading_deg).reshape(-1, 3)
         seen_cdm2 = light.sky_at(rays[seen]) * sky[seen]
         out[:, seen] += seen_cdm2
         out += light.sky.ground_cdm2[:, None].astype(np.float32) * self.view.plain.ravel()

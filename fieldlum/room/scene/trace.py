@@ -488,7 +488,10 @@ def sun_points(
     weight : factor on a point's light [k]; target : index of the sum, below `targets`, to which a
     point adds [k].
     """
-    inside = _inside(scene, position)
+    low, high = np.array(scene.shell)
+    inside = ((position > low - EPSILON_M) & (position < high + EPSILON_M)).all(axis=1)
+    for o in scene.openings:  # on the room's side of every pane
+        inside &= (o.pane_m - position[:, o.axis]) * o.outward > 0
     raised = position.copy()
     raised[np.arange(len(raised)), axis] += sign * 2 * EPSILON_M
     face = np.where(np.asarray(sign) > 0, axis, np.asarray(axis) + 3).astype(np.int8)
@@ -516,15 +519,3 @@ def sun_points(
     solid = [box for box in scene.boxes if box.kind != "ground"]
     small = [box for box in solid if box.kind in ("frame", "obstruction")]
     return SunPoints(scene, group(inside, small), group(~inside, solid + panes), targets)
-
-
-def _inside(scene: BoxScene, position: Floats) -> Mask:
-    """Return whether points [n, 3] are in the building and on the room's side of every pane, [n].
-
-    position: in room axes, m.
-    """
-    low, high = np.array(scene.shell)
-    inside = ((position > low - EPSILON_M) & (position < high + EPSILON_M)).all(axis=1)
-    for o in scene.openings:
-        inside &= (o.pane_m - position[:, o.axis]) * o.outward > 0
-    return inside

@@ -8,16 +8,8 @@ import numpy as np
 
 from fieldlum.core.records import Room
 from fieldlum.optics.projection import direction
-from fieldlum.room.scene.box_room import (
-    INDEX,
-    WALLS,
-    Box,
-    BoxScene,
-    Span,
-    build,
-    transmissivity,
-    upright,
-)
+from fieldlum.room.scene import build
+from fieldlum.room.scene.box_room import INDEX, WALLS, Box, BoxScene, Span, transmissivity, upright
 from fieldlum.room.scene.radiance import corners_of
 
 MODEL_NAME = "fieldlum_room"

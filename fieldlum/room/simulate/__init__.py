@@ -20,14 +20,11 @@ from fieldlum.core.files import remove_scraps, replacing_path, sha256
 from fieldlum.core.records import SiteFile, Slot
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
-from fieldlum.optics.images import write_panorama
-from fieldlum.optics.linear_light import sensor_pitch_deg
-from fieldlum.optics.profiles import load_camera_profile
+from fieldlum.optics import images, linear_light, profiles
 from fieldlum.room.scene import build
 from fieldlum.room.scene.radiosity import LitRoom, box_room, lit_room
 from fieldlum.room.simulate.fine_windows import FineWindows, fine_windows
-from fieldlum.session import Session, create_session, update_session
-from fieldlum.session.codec import current_note, digest, write_object
+from fieldlum.session import Session, codec, create_session, update_session
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, write_simulated_pairs
 from fieldlum.session.folder import PlanTable
@@ -129,7 +126,7 @@ def run(
         remove_scraps(folder)
     build(box_room(setup))  # raises for an impossible room, before anything is deleted
     light, lit = _light_of(setup, slots, weather)
-    pitch_deg = sensor_pitch_deg(load_camera_profile(setup.camera.profile))
+    pitch_deg = linear_light.sensor_pitch_deg(profiles.load_camera_profile(setup.camera.profile))
     room = _Room(sha256(session.toml), height, quality, pitch_deg, workers)
     _delete_other_pictures(session, slots, weather, room, coloured)
     missing = [int(k) for k in np.flatnonzero(lit) if force or not _is_rendered(session, slots[k])]
@@ -173,9 +170,9 @@ def render_slots(folder: Path, job: _Job) -> None:
         direct = {"luminance_cdm2": truth.patch_cdm2[k], "attributes": {"direct": "only"}}
         patches = replace(panorama, rgb=None, **direct)
         with replacing_path(session.truth_panorama(slot.id)) as path:
-            write_panorama(path, panorama)
+            images.write_panorama(path, panorama)
         with replacing_path(session.truth_sunpatch(slot.id)) as path:
-            write_panorama(path, patches)
+            images.write_panorama(path, patches)
 
 
 @lru_cache(maxsize=1)
@@ -222,15 +219,15 @@ def _delete_other_pictures(
     irradiance = np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4")
     light = hashlib.sha256(irradiance.tobytes()).hexdigest()
     room = [plain(setup.room), setup.camera.heading_deg, how.height, how.quality, _VERSION]
-    now = {"room": digest(room), "weather": weather.name, "light_sha256": light}
+    now = {"room": codec.digest(room), "weather": weather.name, "light_sha256": light}
     now |= {"window_pitch_deg": f"{how.pitch_deg:.4f}", "troubles": ""}
     now |= {"coloured": True} if coloured else {}
-    if current_note(path, now) is not None:
+    if codec.current_note(path, now) is not None:
         return
     for slot in slots:
         for place in (session.truth_panorama, session.truth_sunpatch, session.truth_sky_picture):
             place(slot.id).unlink(missing_ok=True)
-    write_object(path, now)
+    codec.write_object(path, now)
 
 
 def _is_rendered(session: Session, slot: Slot) -> bool:

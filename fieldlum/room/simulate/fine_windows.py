@@ -65,10 +65,15 @@ def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:
     lit: the room as traced for its panorama; the result is None if the panorama shows no window. A
     pixel of the panorama is divided into equal parts in each direction, so that both grids match.
     """
+    from scipy.ndimage import maximum_filter
     from scipy.sparse import csr_matrix
 
     view, scene, room = lit.view, lit.view.scene, box_room(lit.setup)
-    near = _near_windows(view)
+    # pixels that show a pane, a frame or the outside, or are next, also across a corner, [H, W]
+    s, shows = view.samples, (view.sky + view.plain).ravel() > 0
+    shows[s.pixel[s.mirrored | np.isin(s.box, scene.of_kind("frame"))]] = True
+    modes = ["nearest", "wrap"]
+    near: Mask = maximum_filter(shows.reshape(view.sky.shape), 3, mode=modes)  # pyright: ignore
     if not near.any():
         return None
     parts = max(1, int(np.ceil(180.0 / view.height / pitch_deg - 1e-9)))
@@ -96,19 +101,6 @@ def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:
     to_pixels = csr_matrix((luminance, (s.pixel, np.arange(n))), (len(pixel), n)) @ illuminance
     sun = scene_view.surface_points(scene, s, len(pixel))
     return FineWindows(grid, pixel, rays, sky, plain, sun, to_pixels.tocsr())
-
-
-def _near_windows(view: scene_view.SceneView) -> Mask:
-    """Return a mask [H, W], True for pixels that show a pane, a frame or the outside, or are next.
-
-    Neighbours across a corner count.
-    """
-    from scipy.ndimage import maximum_filter
-
-    s, near = view.samples, (view.sky + view.plain).ravel() > 0
-    near[s.pixel[s.mirrored | np.isin(s.box, view.scene.of_kind("frame"))]] = True
-    modes = ["nearest", "wrap"]
-    return maximum_filter(near.reshape(view.sky.shape), 3, mode=modes)  # pyright: ignore
 
 
 def _grid_of(near: Mask, parts: int, heading_deg: float) -> tuple[SkyGrid, Mask]:

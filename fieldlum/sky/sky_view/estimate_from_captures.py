@@ -14,36 +14,21 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from fieldlum.core import room_states, statistics
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Site, counted, listed
-from fieldlum.core.room_states import cover_state, parse_state
-from fieldlum.core.statistics import nan_percentiles
+from fieldlum.sky import perez, sun_disc
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.perez import reinhart_patches
+from fieldlum.sky.sky_view import sky_directions, sky_heading
 from fieldlum.sky.sky_view.measured_discs import MIN_DISCS, MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
-from fieldlum.sky.sky_view.sky_directions import (
-    BEAM_LX,
-    MIN_CAPTURES,
-    SOME,
-    STRONG_BEAM_LX,
-    Followed,
-    SkyReference,
-    away_from_sun,
-    dark_shares,
-    follow,
-    sky_reference,
-    sky_share,
-    sun_in_front,
-)
-from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
+from fieldlum.sky.sky_view.sky_directions import BEAM_LX, MIN_CAPTURES, Followed, SkyReference
 from fieldlum.sky.sky_view.view import LENS_PIXEL_DEG, REACH_DAYS, SkyView, between, undecided_u
 from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours, efficacy_u
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
-from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
 
 # Sunlight inside a room also follows the sky a little: interior surfaces reach 1.2 % of the sky's
 # luminance in the rooms of docs/sky-view.md. Less counts as shut, and as no disc.
@@ -134,8 +119,8 @@ def sky_view_of(
     if not lit:
         raise NotEnoughDataError("a sky view needs captures by daylight; none has 1 000 lx outside")
     by_state: dict[str, list[int]] = {}
-    for k in [k for k in lit if "snow=yes" not in parse_state(states[k])] or lit:
-        by_state.setdefault(cover_state(states[k]), []).append(k)
+    for k in [k for k in lit if "snow=yes" not in room_states.parse_state(states[k])] or lit:
+        by_state.setdefault(room_states.cover_state(states[k]), []).append(k)
     captured = replace(captured, light=replace(captured.light, states=None))
     first = "" if "" in by_state else max(by_state, key=lambda state: len(by_state[state]))
     pose = pose_of_discs(partly_hidden(discs, captured), site, heading_deg)
@@ -173,7 +158,7 @@ def partly_hidden(discs: MeasuredDiscs, captured: Captured) -> MeasuredDiscs:
     # share of the beam that a disc in full view has behind the pane
     full = CLEAR_GLASS if measured.sum() < MIN_DISCS else min(shares[measured].max(), CLEAR_GLASS)
     hidden = np.where(measured, np.clip(1.0 - shares / full, 0.0, 1.0), 0.0)
-    moved_deg = 0.87 * np.degrees(SUN_RADIUS_RAD) * hidden
+    moved_deg = 0.87 * np.degrees(sun_disc.SUN_RADIUS_RAD) * hidden
     return replace(discs, sigma_deg=np.hypot(discs.sigma_deg, moved_deg))
 
 
@@ -286,7 +271,7 @@ def _stack(
         values = np.where(np.isnan(values) & in_lens, 0.5 * picture.dark_cdm2, values)
         luminance[n] = np.where(np.isinf(values), np.nan, values)[kept]  # infinite: clipped
     usually = np.zeros(kept.shape) if usual is None else np.nan_to_num(usual.high)
-    inside, row, column = grid.indices(reinhart_patches().directions)
+    inside, row, column = grid.indices(perez.reinhart_patches().directions)
     other = np.flatnonzero(~inside | ~kept[row, column])
     if captured.elsewhere_cdm2 is None:
         other = other[:0]
@@ -339,7 +324,7 @@ def _decided(stack: _Stack, pose: CameraPose, reference: SkyReference | None = N
     """
     rays = pose.true_directions(stack.grid.rays()[stack.kept])  # [p, 3]
     reference = reference or _reference(stack, rays, pose)
-    by_pixel = follow(stack.luminance_cdm2, stack.light, rays, reference)  # [p]
+    by_pixel = sky_directions.follow(stack.luminance_cdm2, stack.light, rays, reference)  # [p]
     followed = Followed(*map(stack.placed, astuple(by_pixel)))  # [h, w]
     ratio, brightest = followed.ratio, reference.brightest  # NaN brightest: nothing follows the sky
     sky = (followed.spread < _FOLLOWS) & (ratio / brightest > _PANE_SHARE)
@@ -385,12 +370,12 @@ def _reference(stack: _Stack, rays: Floats, pose: CameraPose) -> SkyReference:
 
     rays: true directions of the pixels kept [p, 3]; pose: of the camera.
     """
-    step = max(1, len(rays) // (10 * SOME))  # every step-th direction is enough
-    patches = reinhart_patches()
+    step = max(1, len(rays) // (10 * sky_directions.SOME))  # every step-th direction is enough
+    patches = perez.reinhart_patches()
     others = pose.true_directions(patches.directions[stack.elsewhere])
     altitude = np.arcsin(np.clip(rays[::step, 2], -1.0, 1.0))
     size_sr = step * np.radians(stack.grid.step_deg) ** 2
-    return sky_reference(
+    return sky_directions.sky_reference(
         np.concatenate([stack.luminance_cdm2[:, ::step], stack.elsewhere_cdm2], axis=1),
         stack.light,
         np.concatenate([rays[::step], others]),
@@ -414,8 +399,9 @@ def _openness(
     if mixed.any() and opaque.any():
         at, in_front = stack.columns[mixed.ravel()], stack.columns[_nearest(opaque)[mixed]]
         open_sky = reference.sky(stack.light, rays[at]) * pane[mixed].astype(np.float32)
-        shown = away_from_sun(stack.luminance_cdm2[:, at], stack.light, rays[at])
-        openness[mixed], u[mixed] = sky_share(shown, open_sky, stack.luminance_cdm2[:, in_front])
+        shown = sky_directions.away_from_sun(stack.luminance_cdm2[:, at], stack.light, rays[at])
+        through = stack.luminance_cdm2[:, in_front]
+        openness[mixed], u[mixed] = sky_directions.sky_share(shown, open_sky, through)
     openness[openness < _SHUT] = 0.0
     return openness, u, mixed
 
@@ -445,8 +431,8 @@ def _sun_is_behind(light: Light, rays: Floats) -> bool:
     answer is False if less than a quarter of the captures are clear: the spread over all captures
     is robust against so few.
     """
-    clear_share = (light.direct_lx > STRONG_BEAM_LX).mean()
-    is_lit = sun_in_front(light, rays).any(axis=0)
+    clear_share = (light.direct_lx > sky_directions.STRONG_BEAM_LX).mean()
+    is_lit = sky_directions.sun_in_front(light, rays).any(axis=0)
     return bool(len(rays) and is_lit.mean() < 0.5 and clear_share > 0.25)
 
 
@@ -461,11 +447,11 @@ def _covered(stack: _Stack, pose: CameraPose) -> Mask:
     An unmarked blind or a tint hides it. If three or more captures show it by a luminance below a
     third of the usual, then those below 0.6 of it are in the mask too.
     """
-    step = max(1, stack.luminance_cdm2.shape[1] // (4 * SOME))
+    step = max(1, stack.luminance_cdm2.shape[1] // (4 * sky_directions.SOME))
     rays = pose.true_directions(stack.grid.rays()[stack.kept][::step])
     season, covered = _season(stack.light), np.zeros(len(stack.light), bool)
     for shade in (_SHADED, _HALF_SHADED):
-        dark = dark_shares(stack.luminance_cdm2[:, ::step], stack.light, rays, shade)
+        dark = sky_directions.dark_shares(stack.luminance_cdm2[:, ::step], stack.light, rays, shade)
         usual = np.array([np.median(dark[season == k]) for k in season])
         covered |= dark > usual + _COVERED_SHARE
         if covered.sum() < 3:
@@ -526,14 +512,14 @@ def _seasonal_ratios(
         stack.luminance_cdm2[rows] / np.maximum(stack.light[rows].sky_at(rays), 1e-3)
         for rows, _ in seasons
     )
-    usual = np.array([nan_percentiles(ratio, (50.0,))[0] for ratio in by_perez])
+    usual = np.array([statistics.nan_percentiles(ratio, (50.0,))[0] for ratio in by_perez])
     # real skies of a season are within 40 % of Perez's
     differs = usual.min(axis=0) < 0.7 * usual.max(axis=0)
     likely = differs & (usual.max(axis=0) > 0.7 * pane)
     sky = np.zeros(len(rays))
     for rows, reference in seasons:
         luminance = stack.luminance_cdm2[rows][:, likely]
-        seen = follow(luminance, stack.light[rows], rays[likely], reference)
+        seen = sky_directions.follow(luminance, stack.light[rows], rays[likely], reference)
         sky[likely] = np.maximum(sky[likely], np.where(seen.spread < _FOLLOWS, seen.ratio, 0.0))
     return usual, sky
 
@@ -556,15 +542,15 @@ def _turned(stack: _Stack, view: SkyView) -> CameraPose:
 
     It is the same object if the heading does not change.
     """
-    if view.pose.heading_sd_deg < MIN_U_DEG:
+    if view.pose.heading_sd_deg < sky_heading.MIN_U_DEG:
         return view.pose
     margin_px = int(np.ceil(0.5 / stack.grid.step_deg))  # half a degree from an edge
     open_sky = stack.kept & (view.openness >= _OPEN)
     at = np.flatnonzero(ndimage.binary_erosion(open_sky, np.ones((3, 3)), iterations=margin_px))
-    at = at[:: max(1, len(at) // SOME)]
+    at = at[:: max(1, len(at) // sky_directions.SOME)]
     rays = view.pose.true_directions(stack.grid.rays().reshape(-1, 3)[at])
     luminance = stack.luminance_cdm2[:, stack.columns[at]]
-    correction = heading_by_sky(luminance, stack.light, rays, view.pose.axis_deg)
+    correction = sky_heading.heading_by_sky(luminance, stack.light, rays, view.pose.axis_deg)
     return view.pose if correction is None else view.pose.with_heading(*correction)
 
 
@@ -610,7 +596,7 @@ def _notes_on_level(level: float, stack: _Stack) -> list[str]:
         return []
     is_impossible = level > _TOO_BRIGHT
     if level < _TOO_DARK and not stack.dark.any():
-        usual = nan_percentiles(stack.luminance_cdm2, (50.0,))[0]
+        usual = statistics.nan_percentiles(stack.luminance_cdm2, (50.0,))[0]
         is_impossible = np.nanmax(usual) > _WINDOW_CONTRAST * np.nanmedian(usual)
     if not is_impossible:
         if not _TOO_DARK < level < _CLEAR_GLASS:
@@ -698,11 +684,17 @@ def _corrected_by_discs(
     shut = _panes_without_disc(decided.view, decided.scatters, suns, captured.disc_share)
     # All discs together correct the transmittance. Then each capture that contradicts a view of its
     # days corrects that view where the sun was.
-    gain, views, contradictions = _gain(decided.view, captured), [], dict.fromkeys(covered, _DARK)
+    gain = _gain(decided.view, captured).astype(np.float32)[:, None]  # of each row of the view
+    views, contradictions = [], dict.fromkeys(covered, _DARK)
     for view in (decided.view, *decided.seasons):
         holds = view.days_from(captured.light.day_of_year) <= REACH_DAYS
         then = captured.take(np.flatnonzero(holds).tolist()) if view.days else captured
-        corrected, contradictions_then = _corrected(_scaled(view, gain, shut), then)
+        # transmittance and bounds times `gain`, and no sky where `shut`
+        shares = np.where(shut, np.float32(0.0), [view.openness, view.low, view.high])
+        low, high = np.minimum(shares[1:] * gain, 1.0)
+        pane = np.minimum(view.transmittance * gain, 1.0)
+        scaled = replace(view, openness=shares[0], transmittance=pane, low=low, high=high)
+        corrected, contradictions_then = _corrected(scaled, then)
         views.append(corrected)
         contradictions |= contradictions_then
     decided = replace(decided, scatters=decided.scatters & ~shut)
@@ -760,18 +752,6 @@ def _gain(view: SkyView, captured: Captured) -> Floats:
     return np.clip(np.exp(shrunk), 0.5, 1.5)
 
 
-def _scaled(view: SkyView, gain: Floats, shut: Mask) -> SkyView:
-    """Return the view with transmittance and bounds times `gain` [h], and no sky where `shut`.
-
-    gain: a factor for each row; shut: mask [h, w].
-    """
-    gain = gain.astype(np.float32)[:, None]
-    shares = np.where(shut, np.float32(0.0), [view.openness, view.low, view.high])
-    low, high = np.minimum(shares[1:] * gain, 1.0)
-    pane = np.minimum(view.transmittance * gain, 1.0)
-    return replace(view, openness=shares[0], transmittance=pane, low=low, high=high)
-
-
 def _corrected(view: SkyView, captured: Captured) -> tuple[SkyView, dict[datetime, str]]:
     """Return the view, corrected where captures contradict it, and what those show by their times.
 
@@ -781,7 +761,7 @@ def _corrected(view: SkyView, captured: Captured) -> tuple[SkyView, dict[datetim
     """
     light, rays, contradictions = captured.light, view.grid.rays(), {}
     arrays = {name: getattr(view, name).copy() for name in ("openness", "low", "high")}
-    disc_deg = np.degrees(SUN_RADIUS_RAD) + 0.5 * view.grid.step_deg
+    disc_deg = np.degrees(sun_disc.SUN_RADIUS_RAD) + 0.5 * view.grid.step_deg
     for k, sun in enumerate(view.pose.in_pictures(light.apparent_sun_direction)):
         share = captured.disc_share[k]
         off_deg = np.degrees(np.arccos(np.clip(rays @ sun, -1.0, 1.0)))

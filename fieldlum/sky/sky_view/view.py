@@ -18,12 +18,10 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_opening, find_objects, maximum_filter
 
+from fieldlum.core import files, room_states, strict_toml
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError, reason_of
-from fieldlum.core.files import replacing_path
 from fieldlum.core.records import JsonTable
-from fieldlum.core.room_states import cover_state
-from fieldlum.core.strict_toml import convert
 from fieldlum.optics.images import exr_headers, opened_exr
 from fieldlum.session.codec import sealed, warn_if_changed
 from fieldlum.sky.daylight import Light
@@ -118,7 +116,7 @@ class SkyView:
         the nearest season. An hour whose state no view has gets this view with a lower bound of 0.
         """
         marks = light.states or ("",) * len(light)
-        states = np.array([cover_state(text) or self.state for text in marks])
+        states = np.array([room_states.cover_state(text) or self.state for text in marks])
         views, days = (self, *self.others), light.day_of_year
         distances = [np.where(states == v.state, v.days_from(days), np.inf) for v in views]
         # the last choice, for hours of another state: farther than any view of the hour's state
@@ -163,7 +161,7 @@ class SkyView:
             for k, view in enumerate((self, *self.others))
             for name in CHANNELS
         }
-        with sealed(path), replacing_path(path) as temporary:
+        with sealed(path), files.replacing_path(path) as temporary:
             OpenEXR.File(header, channels).write(str(temporary))
 
     @classmethod
@@ -184,7 +182,7 @@ class SkyView:
             grid = SkyGrid(**about["grid"])
             for arrays in views:
                 _check(grid, arrays, about.get("frame", FRAME))
-            pose = convert(about.get("pose") or {}, CameraPose)
+            pose = strict_toml.convert(about.get("pose") or {}, CameraPose)
             more = {name: about[name] for name in ("captures", "inputs", "state") if name in about}
             others = tuple(
                 cls(grid, **arrays, **{**table, "days": tuple(table["days"])}, pose=pose)

@@ -193,7 +193,12 @@ def glare_directions(
     source_ev, background, source_sums = _sums_of_sources(by_map, map_ev)
     sun = np.zeros((len(maps), 3)) if sun_direction is None else sun_direction
     disc = np.zeros((len(maps), 1)) if disc_lx is None else np.asarray(disc_lx, float)[..., None]
-    sun_ev, sun_sums = _sums_of_suns(sun, disc, views, background)
+    right, up, cosine = _sun_angles(sun, views)  # [n, d], or [m, n, d]
+    ev, cdm2 = disc * np.clip(cosine, 0.0, None), disc * (cosine > 0) / SUN_SOLID_ANGLE_SR
+    terms = source_terms(cdm2, np.asarray(SUN_SOLID_ANGLE_SR), right, up, ev, background)
+    # of the sun and its images: Ev [n, d] lx, and the sums of their terms [3, n, d]
+    sun_ev = ev.reshape(-1, *background.shape).sum(axis=0)
+    sun_sums = terms.reshape(len(terms), -1, *background.shape).sum(axis=1)
     sums = source_sums + sun_sums  # [3, n, d]
     view = ViewSums(map_ev + sun_ev, source_ev + sun_ev, background, *sums)
     parts = {"contrast": view.contrast, "sun_contrast": sun_sums[0], "sun_ev_lx": sun_ev}
@@ -218,22 +223,6 @@ def _sums_of_sources(by_map: Sequence[Sources], map_ev: Floats) -> tuple[Floats,
     sums = np.zeros((len(by_map), len(terms), map_ev.shape[1]))
     np.add.at(sums, hour, terms.swapaxes(0, 1))
     return source_ev, background, sums.swapaxes(0, 1)
-
-
-def _sums_of_suns(
-    sun: Floats, disc_lx: Floats, views: Views, background: Floats
-) -> tuple[Floats, Floats]:
-    """Return Ev of the sun and its images [n, d] lx, and the sums of their terms [3, n, d].
-
-    sun : unit vectors for n maps [n, 3], or for m discs, the sun and its images [m, n, 3];
-    disc_lx : normal illuminance from each [n, 1], or [m, n, 1]; background : luminance [n, d]
-    cd/m2. Terms: rows of `source_terms`.
-    """
-    right, up, cosine = _sun_angles(sun, views)  # [n, d], or [m, n, d]
-    ev, cdm2 = disc_lx * np.clip(cosine, 0.0, None), disc_lx * (cosine > 0) / SUN_SOLID_ANGLE_SR
-    terms = source_terms(cdm2, np.asarray(SUN_SOLID_ANGLE_SR), right, up, ev, background)
-    all_ev = ev.reshape(-1, *background.shape).sum(axis=0)
-    return all_ev, terms.reshape(len(terms), -1, *background.shape).sum(axis=1)
 
 
 def source_terms(

@@ -24,11 +24,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldlum.core import files, room_states
 from fieldlum.core.arrays import ArrayLike, Floats, Floats32, Ints32, Mask
 from fieldlum.core.errors import FieldlumError, InputError, input_errors
-from fieldlum.core.files import open_to_read
 from fieldlum.core.records import Panorama, SunSource
-from fieldlum.core.room_states import is_lit
 from fieldlum.optics import images, projection
 from fieldlum.session import Session, marks
 from fieldlum.session.panorama_sun import read_panorama_with_sun
@@ -68,7 +67,7 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
     or contradictory view, a `part` that the file does not have, and any `part` of a .hdr.
     """
     what = "a picture .hdr or .exr"
-    with input_errors(path, what, "check the path", OSError), open_to_read(path) as file:
+    with input_errors(path, what, "check the path", OSError), files.open_to_read(path) as file:
         is_exr = file.read(4) == _EXR_MAGIC or path.suffix.lower() == ".exr"
     if part and not is_exr:
         raise InputError(path, "a picture without parts", "an .exr for --part", "omit --part")
@@ -125,7 +124,7 @@ def _read_exr(path: Path, view_options: str, part: str) -> Picture:
     if is_panorama:
         # panoramas/ can be a link to another disk
         marked = marks(Session(path.absolute().parent.parent)).get(path.stem, "")
-        return Picture(picture, None, notes=notes, lamps=is_lit(marked) or None)
+        return Picture(picture, None, notes=notes, lamps=room_states.is_lit(marked) or None)
     text = view_options or stated.removeprefix("VIEW=").strip()
     view = parse_view(text, path, picture.heading_deg)
     check_proportion(view, picture.luminance_cdm2.shape, 1.0, path)

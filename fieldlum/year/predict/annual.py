@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.records import JsonTable
-from fieldlum.session import replacing
-from fieldlum.session.codec import open_arrays
+from fieldlum.session import codec, replacing
 from fieldlum.session.files.hourly_csv import HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
 
@@ -172,7 +171,7 @@ def read_pictures(folder: Path) -> Pictures:
     """Read pictures.npz in `folder`. Raises InputError if the file is missing or damaged."""
     path = folder / "pictures.npz"
     expected, remedy = "pictures of a predicted year", "run fieldlum predict again"
-    with open_arrays(path, expected, remedy) as stored:
+    with codec.open_arrays(path, expected, remedy) as stored:
         table: dict[str, Any] = {name: stored[name] for name in Pictures._fields}
     kinds, heading_deg = tuple(table["kinds"].tolist()), float(table["heading_deg"])
     return Pictures(**table)._replace(kinds=kinds, heading_deg=heading_deg)

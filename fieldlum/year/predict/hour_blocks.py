@@ -22,10 +22,9 @@ from fieldlum.learn.models import Fitted, Prediction, load, read_config, seen_of
 from fieldlum.learn.models.mirrors import Mirror, MirroredSun, read_mirrors
 from fieldlum.optics.projection import altitude_azimuth_deg, column_azimuths_deg, row_altitudes_deg
 from fieldlum.room.scene import sun_patches
-from fieldlum.session import sha256
+from fieldlum.session import sha256, site_toml
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS
 from fieldlum.session.files.model_files import ModelConfig
-from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.pose import CameraPose
 from fieldlum.sky.sky_view.view import SKY_VIEW, SkyView
@@ -124,7 +123,7 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     if height <= 0 or width <= 0 or heading is None or not config.setup:
         expected = "the site, size and heading of the model's pictures"
         raise InputError(folder / "config.json", "no such keys", expected, "train the model again")
-    setup = site_from_table(config.setup, str(folder / "config.json"))
+    setup = site_toml.site_from_table(config.setup, str(folder / "config.json"))
     state = config.state
     needs_patch = bool(state.get("with_patch", state.get("patch", "none") != "none"))
     if needs_patch and setup.room is None:
@@ -360,7 +359,14 @@ class HourJudge:
             brightest = np.maximum(brightest, seen_cdm2)
         # lowest and highest DGP over possible luminances of the unseen part [k, d]
         minimum, maximum = metrics.unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
-        drawn_ev_lx, drawn_contrast = self._drawn_light(block, figures, discs_lx)
+        # Ev and contrast in m draws [m, k, d] of the sun's visibility and place: in the poses that
+        # `discs_of` draws
+        poses = self._pose.drawn(np.random.default_rng([0, 2]), len(discs_lx))
+        ray = light.apparent_sun_direction
+        suns = np.stack([self._pose.in_pictures(ray, values) for values in poses])
+        disc = (metrics.sun_per_lx(suns, views), discs_lx)
+        of_images = _images(block, views, len(discs_lx))
+        drawn_ev_lx, drawn_contrast = metrics.with_disc(figures, disc, *of_images)
         if melanopic is not None:
             unseen_lx = brightest[:, None] * coverage.unseen_illuminance
             figures |= melanopic.figures(light, figures, u_map_rel, drawn_ev_lx, unseen_lx)
@@ -383,21 +389,6 @@ class HourJudge:
         }
         doubt = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps)
         return HourFigures(hours, figures, doubt)
-
-    def _drawn_light(
-        self, block: HourBlock, figures: dict[str, Floats], discs_lx: Floats
-    ) -> tuple[Floats, Floats]:
-        """Return Ev and contrast of DGP in m draws of the sun's place and visibility, [m, k, d].
-
-        figures: result of `glare` for k hours in d view directions; discs_lx: illuminance of the
-        sun's disc in the draws [m, k].
-        """
-        # the poses that `discs_of` draws
-        poses = self._pose.drawn(np.random.default_rng([0, 2]), len(discs_lx))
-        ray = block.light.apparent_sun_direction
-        suns = np.stack([self._pose.in_pictures(ray, values) for values in poses])
-        disc = (metrics.sun_per_lx(suns, self.views), discs_lx)
-        return metrics.with_disc(figures, disc, *_images(block, self.views, len(discs_lx)))
 
 
 def relative_uncertainty(

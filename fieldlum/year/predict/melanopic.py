@@ -21,8 +21,7 @@ from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.room_states import LAMP_OFF, is_lit
 from fieldlum.learn.models.training_data import states_of
-from fieldlum.optics import melanopic
-from fieldlum.optics.images import read_panorama
+from fieldlum.optics import images, melanopic
 from fieldlum.session import sha256
 from fieldlum.session.codec import data_digest
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
@@ -31,8 +30,8 @@ from fieldlum.sky import light_similarity
 from fieldlum.sky.daylight import MIN_LX, Light, light_at
 from fieldlum.sky.light_similarity import LAMP_LX, Facades, Features, Kernel
 from fieldlum.sky.sun import horizontal_beam, standard_time
+from fieldlum.year.glare import metrics
 from fieldlum.year.glare import uncertainty_budget as budget
-from fieldlum.year.glare.metrics import map_ev_lx
 from fieldlum.year.glare.sources import panorama_views
 from fieldlum.year.predict.occupancy import known_hours
 
@@ -231,7 +230,7 @@ def digests(pairs: Path) -> dict[str, str]:
     """
     rows, found = [row for row in PairsFile.find(pairs).usable if row.panorama], {}
     first = pairs.parent / rows[0].panorama if rows else pairs
-    if not (rows and first.is_file() and melanopic.melanopic_ratio(read_panorama(first))):
+    if not (rows and first.is_file() and melanopic.melanopic_ratio(images.read_panorama(first))):
         return {}
     for row, state in zip(rows, states_of(pairs, rows) or [""] * len(rows), strict=True):
         path = pairs.parent / row.panorama
@@ -258,10 +257,10 @@ def year_of_captures(
     rows: list[PairRow] = []
     eye_lx, u_rel = [], 0.0
     for row in usable[::step]:
-        picture = read_panorama(pairs.parent / row.panorama)
+        picture = images.read_panorama(pairs.parent / row.panorama)
         if (colour := melanopic.melanopic_ratio(picture)) is not None:
             light = np.maximum(np.nan_to_num(picture.luminance_cdm2), 0.0)
-            eye_lx.append(map_ev_lx(np.stack([light, light * colour[0]]), views))
+            eye_lx.append(metrics.map_ev_lx(np.stack([light, light * colour[0]]), views))
             rows, u_rel = [*rows, row], max(u_rel, colour[1])
     if not rows:
         raise NotEnoughDataError(f"{pairs}: no picture has melanopic colour; merge them again")
