@@ -97,9 +97,11 @@ def _run(
     answer = {**plain(new.changed), **new.figures, "why": new.lines, "profile": str(out)}
     lines = [*new.lines]
     for name, value in new.figures.items():
+        if name == "points":
+            lines += terminal.table_lines(value, indent="  ")
+            continue
         text = ", ".join(value) or "none" if isinstance(value, list | tuple) else value
-        is_table = name == "points"
-        lines += terminal.table_lines(value, indent="  ") if is_table else [f"{name}: {text}"]
+        lines.append(f"{name}: {text}")
     terminal.print_answer(as_json, answer, [*lines, f"wrote {out}"])
 
 

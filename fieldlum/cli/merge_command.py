@@ -101,8 +101,9 @@ def _present_size(session: OpenSession) -> str | None:
     return f"{2 * height}x{height}" if isinstance(height, int) else None
 
 
-def _lines(out: Path, result: MergeResult, facts: dict[str, float]) -> list[str]:
+def _lines(out: Path, result: MergeResult, facts: dict[str, float | None]) -> list[str]:
     """Return the lines that the terminal shows of a merged picture; facts: figures by name."""
     neighbours = table_lines(result.quality["neighbours"], indent="  ")
-    figures = [f"  {name}: {value:.5g}" for name, value in facts.items()]
+    unknown = "unknown: the lens did not see all that lights the plane"
+    figures = [f"  {n}: {unknown if v is None else f'{v:.5g}'}" for n, v in facts.items()]
     return [f"{out}: {result.verdict}", *neighbours, *figures]
