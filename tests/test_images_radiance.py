@@ -272,7 +272,9 @@ def test_a_hdr_keeps_the_sun_and_the_number_of_clipped_pixels(tmp_path: Path) ->
     sun = SunSource(30.0, 200.0, 20_000.0)
     scene = Panorama(np.full((60, 120), 300.0, np.float32), 180.0, flags=flags, sun=sun)
     rgb = np.full((60, 120, 3), 300.0 / RADIANCE_LM_PER_W)
-    for picture in (scene, replace(scene, rgb=rgb)):
+    hidden = flags.copy()
+    hidden[19:22, 65:69] = Flag.OUTSIDE_LENS  # around the sun
+    for picture in (scene, replace(scene, rgb=rgb), replace(scene, flags=hidden)):
         write_picture(tmp_path / "a.hdr", picture)
         write_picture(tmp_path / "a.exr", picture)
         hdr, exr = (picture_glare(tmp_path / f"a.{suffix}", [180.0]) for suffix in ("hdr", "exr"))

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -332,3 +333,21 @@ def test_figures_that_no_camera_has_are_refused(tmp_path: Path, old: str, new: s
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(InputError, match="small"):
         load_camera_profile(path)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("projection", ["equirect", "fisheye"])
+def test_the_illuminance_of_a_narrow_lens_is_unknown(
+    session: Session, tmp_path: Path, projection: str
+) -> None:
+    """What no lens saw would count as black."""
+    slot, narrow = take(session, 0), tmp_path / "narrow.toml"
+    wide = (tmp_path / "small.toml").read_text()
+    narrow.write_text(re.sub(r"full_angle_deg = .*", "full_angle_deg = 120.0", wide))
+    size = "32x16" if projection == "equirect" else "24x24"
+    words = ["merge", "--frames", str(session.raw / slot), "--camera", str(narrow), "--size", size]
+    words += ["--projection", projection, "--out"]
+    told = CliRunner().invoke(main, [*words, str(tmp_path / "a.exr")])
+    assert told.exit_code == 0 and "vertical_illuminance_lx: unknown" in told.stdout, told.output
+    answer = CliRunner().invoke(main, [*words, str(tmp_path / "b.exr"), "--json"])
+    assert json.loads(answer.stdout)["vertical_illuminance_lx"] is None

@@ -600,7 +600,11 @@ def test_panoramas_of_another_profile_are_named(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", None)
     slot = session.slots()[0].id
     Sidecar(slot, profile={"name": "early", "sha256": "0" * 64}).write(session.sidecar(slot))
+    (session.raw / slot).mkdir(parents=True, exist_ok=True)
+    (session.raw / slot / "00_1s.dng").touch()
     told = "1 panorama of another camera profile than the present one: run fieldlum merge and pair"
     with pytest.warns(Caution, match=told):
         pair.run(session)
     assert any(told in note for note in load_pairs(session).notes)
+    (session.raw / slot / "00_1s.dng").unlink()
+    assert not any(told in note for note in load_pairs(session).notes), "cannot be merged again"

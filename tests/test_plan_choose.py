@@ -342,5 +342,10 @@ def test_command_best_and_replan(tmp_path: Path, weather: Weather) -> None:
     after = {slot.id: slot for slot in open_session(tmp_path / "p").slots()}
     assert added and {*after} == {*added} | {slot.id for slot in before}
     assert all(after[slot].exposures == before[0].exposures for slot in added)
-    again = CliRunner().invoke(main, ["plan", str(tmp_path / "p"), "--add", day])
-    assert again.exit_code == 3 and "without an hour that the plan lacks" in again.stderr
+    assert call(tmp_path / "p", "--add", day)["added"] == []
+    replanned = call(tmp_path / "p", "--replan")
+    assert replanned["missed"] == past["slots"], "an added day is missed by nobody"
+    for wrong in ("2207-04-09", "0001-01-01"):
+        done = CliRunner().invoke(main, ["plan", str(tmp_path / "p"), "--add", wrong])
+        assert done.exit_code == 2 and "expected a year from 1950" in done.stderr
+    assert len(open_session(tmp_path / "p").slots()) == len(after) + len(replanned["made_up"])

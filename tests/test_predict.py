@@ -592,12 +592,18 @@ def test_a_model_of_earlier_pictures_is_refused_and_the_report_warns(
     run(own, weather)  # train --sky-view FILE of other captures proves nothing
     assert outdated() == ([], [])
     (own / "config.json").write_text((own / "config.json").read_text() + "\n")  # trained again
+    (own / "config.json.sha256").unlink()
     assert outdated() == ([], ["nearest"])
     page = session.report / "index.html"
     page.parent.mkdir()
     page.write_text("")
     assert stage_status(session)["report"] == {"done": True, "outdated": False}
     os.utime(page, (0, 0))  # before the year was predicted
+    assert stage_status(session)["report"] == {"done": True, "outdated": True}
+    os.utime(page)
+    (year.folder / "predict.json").touch()  # shown again
+    assert stage_status(session)["report"] == {"done": True, "outdated": False}
+    os.utime(page, (0, 0))
     assert stage_status(session)["report"] == {"done": True, "outdated": True}
 
 

@@ -349,9 +349,14 @@ def _one_hour(summary: PredictFile, low: float = 0.42) -> predict.Annual:
 @pytest.mark.analytic
 def test_the_number_of_glare_hours_has_its_interval() -> None:
     """A count was off by a factor of two to three, without a word on how certain it is."""
-    row = DirectionYear(0.0, "high", True, dgp_exceeded=0.3, hours_over={"0.40": 1})
-    summary = PredictFile(occupancy=YearOccupancy(hours=1), protection=(row,))
-    for low, text in ((0.42, "comes in 1 of 1"), (0.38, "comes in 1 (0 to 1) of 1")):
+    sure = DirectionYear(0.0, "high", True, "seen", 0.3, 0.2, 0.4, hours_over={"0.40": 1})
+    unsure = structs.replace(sure, low=None, high=None)
+    for row, low, text in (
+        (sure, 0.42, "comes in 1 of 1"),
+        (sure, 0.38, "comes in 1 (0 to 1) of 1"),
+        (unsure, 0.0, "comes in 1 of 1"),  # the model states no uncertainty
+    ):
+        summary = PredictFile(occupancy=YearOccupancy(hours=1), protection=(row,))
         assert text in annual_page.best_direction(_one_hour(summary, low))[1]
 
 

@@ -232,6 +232,7 @@ def test_wrong_time_zone_shows_as_light_at_night(tmp_path) -> None:
         (10, -157.9, False),
         (-11, -171.8, True),
         (13, 171.8, True),
+        (12, -179.0, True),
     ],
 )
 def test_zones_east_of_the_date_line(zone: int, longitude: float, fits: bool) -> None:

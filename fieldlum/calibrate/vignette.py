@@ -241,7 +241,7 @@ def _check(samples: Samples) -> None:
     if len(r) < 5 or r.max() < _MIN_REACH:
         raise NotEnoughDataError(
             f"{files[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of the half angle;"
-            f" expected at least 5, up to over {100 * _MIN_REACH:.0f} %; add readings, check that"
+            f" expected at least 5, up to {100 * _MIN_REACH:.0f} %; add readings, check that"
             " angles are in degrees, or lower the lens's full_angle_deg"
         )
     bad = np.flatnonzero(~(np.isfinite(value) & (value > 0)))

@@ -302,8 +302,10 @@ def match_groups(
         when = f"({utc_text(t_utc)})"
         slot = min(slots, key=lambda s: abs((s.t_utc - t_utc).total_seconds()), default=None)
         if slot is None or abs((t_utc - slot.t_utc).total_seconds()) > MAX_DELAY_S:
-            remedy = "if the time is right, add its day: fieldlum plan SESSION --add DATE"
-            text = f"no slot within {MAX_DELAY_S / 60:.0f} min {when}; {remedy}"
+            text = f"no slot within {MAX_DELAY_S / 60:.0f} min {when}"
+            day = timedelta(hours=12)
+            if slot is None or abs(t_utc - slot.t_utc) > day:  # no slot of this day is planned
+                text += "; if its date is right: fieldlum plan SESSION --add DATE"
             others.append((group, text))
             continue
         if count_planned(group, slot) < min(2, len(slot.exposures)):

@@ -49,7 +49,7 @@ def command(
           brackets were captured without a plan.
     """
     from fieldlum import plan
-    from fieldlum.core.records import counted
+    from fieldlum.core.records import listed
     from fieldlum.plan import makeup
     from fieldlum.session import open_session
     from fieldlum.session.site_toml import load_site
@@ -70,7 +70,9 @@ def command(
             label_shift_min and not weather_file
         ),
         f"name --set and --out, {example}": not (replan or add or (set_ and out)),
-        "--start: expected a year from 1950 to 2100": day and not 1950 <= day.year <= 2100,
+        "--start, --add: expected a year from 1950 to 2100": any(
+            not 1950 <= d.year <= 2100 for d in (start, *add) if d
+        ),
         "--start and --year exclude each other: use one of them": day and year,
         "--count needs --set even": count and set_ != "even",
         "--days needs --set month or even": days and set_ not in ("month", "even"),
@@ -89,7 +91,7 @@ def command(
     elif add:
         session = open_session(target)
         answer = makeup.add_days(session, [day.date() for day in add])
-        sentences = [f"{counted(len(answer['added']), 'slot')} added to the plan"]
+        sentences = [f"slots added to the plan: {listed(answer['added'], 8) or 'none is missing'}"]
     else:
         assert out is not None and set_ is not None
         today = plan.today_at(site, now)

@@ -47,7 +47,7 @@ def _lines(answer: JsonTable) -> list[str]:
     damaged = f"; {text}" if (text := damage_text(capture["damaged_lines"])) else ""
     upcoming = f", next {capture['next']}" if capture["next"] else ""
     report = "done" if answer["report"]["done"] else "none"
-    report = "outdated" if answer["report"]["outdated"] else report
+    report = "to do again" if answer["report"]["outdated"] else report
     return [
         f"{answer['session']}: {answer['name']}",
         f"plan        {counted(plan['slots'], 'slot')}{of_set}",
@@ -66,4 +66,4 @@ def _lines(answer: JsonTable) -> list[str]:
 
 def _names(names: list[str], outdated: list[str]) -> str:
     """Return a list of names, of which some are outdated."""
-    return ", ".join(f"{n} (outdated)" if n in outdated else n for n in names) or "none"
+    return ", ".join(f"{n} (to do again)" if n in outdated else n for n in names) or "none"

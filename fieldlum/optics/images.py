@@ -240,7 +240,7 @@ def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
         raise InputError(path, f"values with a gamma of {gamma:g}", "linear values", remedy)
     axes, counts = _resolution(file.readline(200), path)
     marks = [line for line in lines if line.startswith(PANORAMA_LINE)]
-    clipped = any(line.startswith(_CLIPPED_KEY) for line in lines)
+    clipped = [line for line in lines if line.startswith(_CLIPPED_KEY)][-1:]
     return RadianceHeader(
         axes=axes,
         counts=counts,
@@ -252,7 +252,7 @@ def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
         heading_deg=_heading(marks[-1], path) if marks else None,
         pixel_aspect=float(_product(lines, "PIXASPECT=", 1, path)[0]),
         black_is_unseen=_UNSEEN_LINE in lines,
-        clipped=int(_product(lines, _CLIPPED_KEY, 1, path)[0]) if clipped else 0,
+        clipped=int(min(_product(clipped, _CLIPPED_KEY, 1, path)[0], 1e9)) if clipped else 0,
     )
 
 
@@ -427,7 +427,10 @@ def write_picture(path: Path, panorama: Panorama, view: str = "") -> None:
             if sun is not None and not view:
                 place = np.array([sun.altitude_deg]), np.array([sun.azimuth_deg])
                 lx = np.array([sun.normal_illuminance_lx])
-                light = add_source(light[None], place, lx, panorama.heading_deg)[0]
+                nothing = np.zeros((1, *light.shape), np.float32)
+                disc = add_source(nothing, place, lx, panorama.heading_deg)[0]
+                light = np.where(disc > 0.0, np.nan_to_num(light) + disc, light)
+                seen |= disc > 0.0  # the sun was measured, even if its pixel is not valid
             if rgb is not None:
                 of_rgb = RADIANCE_LM_PER_W * (rgb @ np.asarray(RADIANCE_Y))
                 grey = np.repeat(light[..., None] / RADIANCE_LM_PER_W, 3, axis=-1)
@@ -582,7 +585,8 @@ def stated_heading_deg(path: Path) -> float | None:
     file that cannot be read.
     """
     if path.suffix.lower() == ".exr":
-        return _stated_heading(exr_headers(path)[0])
+        with input_errors(path, "a heading_deg", "merge it again", ValueError, TypeError):
+            return _stated_heading(exr_headers(path)[0])
     with open_to_read(path) as file:
         return _read_header(file, path).heading_deg
 

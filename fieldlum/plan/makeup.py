@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.errors import InputError
 from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, Site, SiteFile, Slot, listed, parse_utc, slot_id
 from fieldlum.plan import make_slots
@@ -24,6 +23,7 @@ SAME_DECLINATION_DEG = 0.2
 # Largest angle between the suns of a missed and a make-up slot. The equation of time differs by up
 # to half an hour between the two days: 7.5 deg of hour angle. Chosen with a margin.
 MAX_OFF_DEG = 12.0
+_ADDED = "added"  # tag of the slots of an added day, which is not missed if nothing is captured
 
 
 def make_up(
@@ -111,7 +111,8 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
     others = captured.union(makeup.id for several in makeups.values() for makeup in several)
     # original slots that are past and not captured; of these, without a captured make-up; of
     # these, without a make-up that is still to come
-    past = [s for s in slots if s.id not in others and s.t_utc + grace < now_utc]
+    waiting = [s for s in slots if s.id not in others and _ADDED not in s.tags]
+    past = [s for s in waiting if s.t_utc + grace < now_utc]
     missed = [s for s in past if not any(m.id in captured for m in makeups.get(s.id, ()))]
     due = [s for s in missed if all(m.t_utc + grace < now_utc for m in makeups.get(s.id, ()))]
     added, pairs, lost = make_up(due, slots, setup, now_utc)
@@ -135,17 +136,13 @@ def add_days(session: Session, days: Sequence[date]) -> JsonTable:
 
     The days can be past, for brackets that were captured without a plan; hours that have a slot are
     not added. The earlier plan is stored as `run` does. Returns the keys of `--json`: added, ids of
-    the slots, and revision. Raises InputError for a damaged plan.csv or session.toml, and if no
-    slot is added.
+    the slots, and revision. Raises InputError for a damaged plan.csv or session.toml.
     """
     about = _complete_interrupted_replan(session)
     setup, slots = session.site_file(), session.slots()
     known = {slot.id for slot in slots}
     made = make_slots(daylight_hours(days, setup.site), setup, slots[0].exposures)
-    added = [slot for slot in made if slot.id not in known]
-    if not added:
-        found = f"{listed([str(day) for day in days], 4)} without an hour that the plan lacks"
-        raise InputError(session.plan, found, "days with further daylight hours", "choose others")
+    added = [replace(s, tags=(*s.tags, _ADDED)) for s in made if s.id not in known]
     about = _with_more(session, about, added)
     return {"added": [slot.id for slot in added], "revision": about.get("revision", 0)}
 

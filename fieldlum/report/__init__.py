@@ -69,8 +69,8 @@ def _facts(
         facts["hours predicted"] = f"{summary.hours}"
         facts["weather"] = summary.weather.name
         facts["occupied hours with trusted maps"] = f"{100 * (1 - occupancy.untrusted_share):.0f} %"
-        if occupancy.unsure_share is not None:
-            known = f"{100 * (1 - occupancy.unsure_share):.0f} %"
+        if occupancy.wide_share is not None:
+            known = f"{100 * (1 - occupancy.wide_share):.0f} %"
             facts["occupied hours with DGP known to 0.2"] = known
         facts["sun's disc by"] = summary.disc_from
     return list(facts.items())

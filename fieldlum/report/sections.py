@@ -155,7 +155,7 @@ def _hours_texts(annual: Annual, limit: float) -> list[str]:
     for row, share in zip(annual.summary.protection, _hours_over(annual, limit), strict=True):
         low, high = (round(count * part / 100) for part in (share.low, share.high))
         hours = row.hours_over.get(f"{limit:.2f}")
-        interval = f" ({low} to {high})" if low < high else ""
+        interval = f" ({low} to {high})" if row.low is not None and low < high else ""
         texts.append("–" if hours is None else f"{hours}{interval}")
     return texts
 

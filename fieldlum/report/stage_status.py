@@ -1,6 +1,8 @@
 """Report what each stage, from plan to report, has done and must still do in a session."""
 
+from collections.abc import Sequence
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
@@ -8,7 +10,6 @@ from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, Slot, counted, utc_text
 from fieldlum.session import Session, day_files
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import of_other_profile
 from fieldlum.session.journal import damaged_lines
 from fieldlum.session.slot_states import SETTLED, SlotStates, read_slot_states, slots_to_do
@@ -52,9 +53,9 @@ def stage_status(session: Session) -> JsonTable:
         "pair": {"done": len(paired), "usable": len(usable), "owed": len(merged - paired)},
         **_result_status(session),
     }
-    # A slot before a captured one, which a card without its bracket leaves, cannot be captured.
-    to_do = slots_to_do(slots, recorded)
-    waits = any(slot.id > max(captured, default="") for slot in to_do)
+    # A past slot, or one before a captured one, cannot be captured, but may be on a card.
+    to_do, first = slots_to_do(slots, recorded), datetime.now(UTC) - session.grace
+    waits = any(s.id > max(captured, default="") and s.t_utc > first for s in to_do)
     step = next_step(answer, waits)
     if to_do and not waits:
         step += f" (or import the card of {counted(len(to_do), 'earlier slot')}, if there is one)"
@@ -65,7 +66,7 @@ def next_step(answer: JsonTable, waits: bool = True) -> str:
     """Return the user's next step, mostly a command line.
 
     answer: the table of `stage_status`, of which "next_step" is not read. waits: whether a slot
-    after the captured ones is to do.
+    is still to be captured.
     """
     root = answer["session"]
     capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
@@ -94,28 +95,36 @@ def next_step(answer: JsonTable, waits: bool = True) -> str:
 def _result_status(session: Session) -> dict[str, JsonTable]:
     """Return what train, predict and report have done, and which of it is outdated.
 
-    A model is outdated if the sky view in its folder has other inputs than that of the session; a
-    damaged model or year is not judged here.
+    A model is outdated if the sky view in its folder has other inputs than that of the session,
+    also after captures were added; a year by `outdated_text`, or with its model. A damaged model or
+    year is not judged here.
     """
-    folders, pages = session.model_folders(), [session.report / "index.html"]
-    models = [folder.name for folder in folders if _is_of_other_pairs(session, folder)]
-    notes, years = [folder / "predict.json" for folder in session.annual_folders()], []
-    for note in notes:
-        with suppress(InputError):
-            year = PredictFile.read(note.parent)
-            name = str(year.inputs.get("model", ""))
-            is_now = name not in models and year.is_of(session.models / name / "config.json")
-            years += [] if is_now else [note.parent.name]
-    report_s, newest_s = (
+    models = [folder.name for folder in session.model_folders()]
+    old = [name for name in models if _is_of_other_pairs(session, session.models / name)]
+    years = [folder for folder in session.annual_folders() if _is_outdated(session, folder, old)]
+    # predict.json is touched when a stored year is shown again
+    hourly = [folder / "hourly.csv" for folder in session.annual_folders()]
+    page_s, newest_s = (
         max((file.stat().st_mtime for file in files if file.is_file()), default=-1.0)
-        for files in (pages, notes)
+        for files in ([session.report / "index.html"], hourly)
     )
     done = sorted(path.name for path in session.annual.glob("*") if path.is_dir())
     return {
-        "train": {"models": [folder.name for folder in folders], "outdated": models},
-        "predict": {"years": done, "outdated": years},
-        "report": {"done": report_s >= 0.0, "outdated": 0.0 <= report_s < newest_s},
+        "train": {"models": models, "outdated": old},
+        "predict": {"years": done, "outdated": [folder.name for folder in years]},
+        "report": {"done": page_s >= 0.0, "outdated": 0.0 <= page_s < newest_s},
     }
+
+
+def _is_outdated(session: Session, folder: Path, models: Sequence[str]) -> bool:
+    """Return whether the year in a folder is not of the present session; models: outdated ones."""
+    from fieldlum.year.predict import read_annual  # slow to import
+    from fieldlum.year.predict.year import outdated_text
+
+    with suppress(InputError):
+        annual = read_annual(folder)
+        return annual.summary.inputs.get("model") in models or bool(outdated_text(session, annual))
+    return False
 
 
 def _is_of_other_pairs(session: Session, model: Path) -> bool:

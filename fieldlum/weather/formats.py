@@ -197,8 +197,8 @@ def _place(path: Path, cells: Sequence[Any], expected: str, name: str) -> tuple[
         found = f"latitude, longitude, altitude and zone {', '.join(map(str, cells)) or 'missing'}"
         remedy = "correct the header, or download the file again"
         raise InputError(path, found, expected, remedy) from None
-    # Samoa, Tonga and Kiritimati have the date of the east, with zones of +13 and +14.
-    nearest = zone - 24 if zone > 12 and longitude < 0 else zone
+    # Samoa, Tonga, Kiritimati and others have the date of the east, with zones of +12 to +14.
+    nearest = zone - 24 if zone >= 12 and longitude < -150 else zone
     if zone and abs(nearest - longitude / 15) > 3.5:
         found = f"time zone UTC{zone:+g} at longitude {longitude:g} deg"
         remedy = "correct the header (east is positive)"

@@ -111,7 +111,10 @@ class PairsFile:
     @property
     def pair_again(self) -> list[str]:
         """Warnings if a row is `outdated`, and of panoramas of another camera profile."""
-        texts, others = [], of_other_profile(Session(self.path.parent)) if self.rows else []
+        texts, session = [], Session(self.path.parent)
+        # without its frames, a panorama cannot be merged again
+        frames = {file.parent.name for file in session.raw.glob("*/*.*") if file.suffix != ".json"}
+        others = [sidecar for sidecar in of_other_profile(session) if sidecar.slot in frames]
         if others:
             found = f"WARNING: {counted(len(others), 'panorama')} of another camera profile"
             texts.append(f"{found} than the present one: run fieldlum merge and pair again")

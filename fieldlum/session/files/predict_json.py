@@ -1,12 +1,10 @@
 """annual/NAME/predict.json: how a year was predicted, and its glare classes."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from msgspec import Struct, field
 
-from fieldlum.core.files import sha256
 from fieldlum.session.codec import JsonFile
 
 
@@ -38,15 +36,15 @@ class YearOccupancy(Struct, frozen=True):
 
     text: which hours these are, in words; hours: their number; lit: number of those with daylight;
     untrusted_share: share (0 to 1) of the lit hours in which the model does not trust its maps;
-    unsure_share: share of the lit hours with a wide interval of DGP, None in
-    files of earlier versions.
+    wide_share: share of the lit hours with a wide interval of DGP, None if the model states no
+    uncertainty, and in files of earlier versions.
     """
 
     text: str = ""
     hours: int = 0
     lit: int = 0
     untrusted_share: float = 0.0
-    unsure_share: float | None = None
+    wide_share: float | None = None
 
 
 class YearWeather(Struct, frozen=True):
@@ -101,8 +99,3 @@ class PredictFile(JsonFile, frozen=True):
     model_warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     protection: tuple[DirectionYear, ...] = ()
-
-    def is_of(self, model_config: Path) -> bool:
-        """Return whether the year is of a model as config.json is now; True if that is gone."""
-        used = self.inputs.get("model_sha256")
-        return used is None or not model_config.is_file() or used == sha256(model_config)

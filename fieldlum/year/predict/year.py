@@ -198,6 +198,7 @@ def _judged(
     budgets = budget.year_budget(dgp, ev_lx, u, hours_used, azimuths, camera)
     count = int(used.sum())
     # shares of the k hours: map not trusted; interval of DGP spans the classes
+    is_open = all(row.low is None for row in rows)  # the model states no uncertainty
     untrusted, wide = (float(hours.sum()) / max(count, 1) for hours in unsure_hours(annual, rows))
     shares: Floats | tuple[()] = ()
     if room.seen is not None:
@@ -205,7 +206,7 @@ def _judged(
     rule = summary.inputs["occupancy"]
     summary = structs.replace(
         summary,
-        occupancy=YearOccupancy(rule, hours_used, count, untrusted, wide),
+        occupancy=YearOccupancy(rule, hours_used, count, untrusted, None if is_open else wide),
         seen_share=tuple(round(float(share), 3) for share in shares),
         u_scale_rel=u_rel,
         protection=rows,
@@ -427,7 +428,7 @@ def outdated_text(session: Session, annual: Annual) -> str:
     if not (folder / "config.json").is_file():
         return ""
     config, colour, now = read_config(folder), used.get("colour"), _of_captures(session)
-    same = annual.summary.is_of(folder / "config.json")
+    same = used.get("model_sha256") in (None, sha256(folder / "config.json"))
     same &= used.get("camera_u_rel", now["camera_u_rel"]) == now["camera_u_rel"]
     # in earlier versions colour is True or False
     same &= not isinstance(colour, dict) or colour.items() <= now["colour"].items()
@@ -537,7 +538,7 @@ def _notes(
     yield from room.sky_view.notes if room.sky_view else [room.disc_from]
     marked = sorted({view.state for view in room.sky_view.others} - {""} if room.sky_view else ())
     if marked:
-        yield f"all hours are predicted without what some captures had: {listed(marked)}"
+        yield f"all hours are predicted in the usual state of the room, not with {listed(marked)}"
     if untrusted > 0.05:
         mirror = "a mirrored sun may be in view, " if room.mirrors else ""
         yield (
@@ -545,9 +546,9 @@ def _notes(
             f"no similar light was captured, {mirror}or pixels may be wrong by more than 20 %. "
             "Intervals of DGP and classes include it; capture more days and seasons"
         )
-    if (unsure := occupancy.unsure_share or 0.0) > 0.05:
+    if (wide := occupancy.wide_share or 0.0) > 0.05:
         yield (
-            f"In {100 * unsure:.0f} % of the occupied daylight hours the 95 % interval of DGP is "
+            f"In {100 * wide:.0f} % of the occupied daylight hours the 95 % interval of DGP is "
             f"wider than {_WIDE_DGP:g} in a fully seen direction: often the sky view does not "
             "decide whether the sun's disc is seen; capture clear hours with the sun in a window, "
             "which also give the camera's heading"
