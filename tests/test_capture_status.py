@@ -15,9 +15,9 @@ from fieldlum.cli import main, terminal
 from fieldlum.core.records import utc_text
 from fieldlum.optics.profiles import find_camera_profile
 from fieldlum.report.assessor import _instruments
-from fieldlum.report.stage_status import stage_status
 from fieldlum.session import Journal, day_files, marks, read_day, sha256
 from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.year.stage_status import stage_status
 
 
 @pytest.mark.contract

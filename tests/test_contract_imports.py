@@ -45,7 +45,15 @@ RANKS = (
         "room.simulate",
         "year.glare",
     },
-    {"bench", "learn.models", "learn.train", "learn.transport", "room.fit", "year.predict"},
+    {
+        "bench",
+        "learn.models",
+        "learn.train",
+        "learn.transport",
+        "room.fit",
+        "year.predict",
+        "year.stage_status",
+    },
     {"__main__", "api", "cli", "demo", "report", "report.campaign", "web"},
 )
 RANK = {module: rank for rank, modules in enumerate(RANKS) for module in modules}

@@ -21,9 +21,9 @@ from fieldlum.cli.new_command import site_text, started_profile
 from fieldlum.core.records import CameraSetup, Exposure, Obstruction, Room, SiteFile, Window
 from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.optics.raw.writing import write_jpeg
-from fieldlum.report.stage_status import next_step
 from fieldlum.room.scene.drawing import compass_text, room_svg
 from fieldlum.session.site_toml import load_site
+from fieldlum.year.stage_status import next_step
 
 MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
 ROOM = Room(
@@ -158,9 +158,9 @@ def test_each_stage_is_followed_by_its_next_command() -> None:
         "merge": {"owed": 0},
         "irradiance": {"rows": 0},
         "pair": {"owed": 0, "done": 0, "usable": 0},
-        "train": {"models": []},
-        "predict": {"years": []},
-        "report": {"done": False},
+        "train": {"models": [], "outdated": []},
+        "predict": {"years": [], "outdated": []},
+        "report": {"done": False, "outdated": False},
     }
     steps = [next_step(answer)]
     for change in (
@@ -172,9 +172,9 @@ def test_each_stage_is_followed_by_its_next_command() -> None:
             "pair": {"owed": 0, "done": 3, "usable": 3},
             "capture": {"owed": 0, "frames": 9, "done": 3},
         },
-        {"train": {"models": [{"name": "auto"}]}},
-        {"predict": {"years": ["auto"]}},
-        {"report": {"done": True}},
+        {"train": {"models": ["auto"], "outdated": []}},
+        {"predict": {"years": ["auto"], "outdated": []}},
+        {"report": {"done": True, "outdated": False}},
     ):
         answer = answer | change
         steps.append(next_step(answer))

@@ -42,7 +42,6 @@ from fieldlum.pair import irradiance
 from fieldlum.pair.bracket_irradiance import irradiance_during
 from fieldlum.pair.sun_strength import completed_sun, measured_sun
 from fieldlum.report.sections import warnings_of
-from fieldlum.report.stage_status import stage_status
 from fieldlum.session import DayFiles, Session, create_session, mark_slot
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
@@ -59,6 +58,7 @@ from fieldlum.sky import sun
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun_disc import add_source
 from fieldlum.year.glare.picture_glare import picture_glare
+from fieldlum.year.stage_status import stage_status
 
 NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
 SOUTH = SunSource(18.9, 178.0, 5000.0, 1.0, "clipped")

@@ -551,9 +551,9 @@ def test_a_model_of_earlier_pictures_is_refused_and_the_report_warns(
     """As of another room with the same plan, or of a session that was merged and paired again."""
 
     from fieldlum.report.sections import warnings_of
-    from fieldlum.report.stage_status import stage_status
     from fieldlum.sky.sky_view.view import CHANNELS
     from fieldlum.year.predict import read_annual
+    from fieldlum.year.stage_status import stage_status
 
     def outdated() -> tuple[list[str], list[str]]:
         """Return the outdated models and years, as status states them."""

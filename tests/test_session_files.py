@@ -21,7 +21,6 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.files import cut_torn_tail
 from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.plan import makeup
-from fieldlum.report.stage_status import stage_status
 from fieldlum.session import (
     DAY_COLUMNS,
     DayFiles,
@@ -40,6 +39,7 @@ from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import MergeReport, Sidecar
 from fieldlum.session.folder import store_grace
 from fieldlum.session.panorama_sun import SunRow, read_suns, write_suns
+from fieldlum.year.stage_status import stage_status
 
 NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
 SLOT = Slot(NOON, 18.0, 180.0, (Exposure(0.01, 5.6),))

@@ -107,7 +107,7 @@ def test_perez_skies_stay() -> None:
 @pytest.mark.analytic
 def test_captures_under_clouds_teach_the_room(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = fit(CLOUDED)
-    monkeypatch.setattr("fieldlum.learn.transport.seen_sky", lambda arrays: None)
+    monkeypatch.setattr("fieldlum.learn.transport.training_arrays.seen_sky", lambda arrays: None)
     perez = fit(CLOUDED)
     assert has_perez_skies(perez, CLOUDED) and not has_perez_skies(seen, CLOUDED)
     assert "check that the pyranometer" in model_notes(seen, CLOUDED, "none")[0]

@@ -22,8 +22,8 @@ def command(
       --mark SLOT|DATE STATE: Record the room's state at a slot, or at all captured slots of a
           local date: lamp=on|off, blind=up|half|down, tint=clear|half|full, snow=yes|no.
     """
-    from fieldlum.report.stage_status import stage_status
     from fieldlum.session import mark_slot
+    from fieldlum.year.stage_status import stage_status
 
     if mark is not None:
         zone = ZoneInfo(session.site_file().site.timezone)

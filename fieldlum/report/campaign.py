@@ -111,8 +111,8 @@ def overview_of(folder: Path, name: str) -> RoomOverview:
 
     folder: of CAMPAIGN.toml; name: the session's folder, as the file states it. No error is raised.
     """
-    from fieldlum.report.stage_status import stage_status
     from fieldlum.session.slot_states import slots_ahead
+    from fieldlum.year.stage_status import stage_status
 
     try:
         session = open_session(folder / name)
