@@ -182,6 +182,20 @@ def from_chart(
 # fit
 
 
+def _priors(colours: Colours, profile: CameraProfile) -> dict[str, Floats]:
+    """Return the coefficients [3] of R, G, B in luminance towards which a fit may pull, by name.
+
+    These are the profile's y_from_rgb and, if the frames state a colour matrix, the Y row of its
+    inverse (camera to XYZ), scaled to give the mean colour of the readings the same luminance.
+    """
+    own = np.array(profile.colour.y_from_rgb)
+    starts = {"the profile's coefficients": own}
+    if colours.matrix is not None:
+        row, grey = np.linalg.inv(colours.matrix)[1], colours.rgb.mean(axis=0)
+        starts["the file's colour matrix"] = row * float(own @ grey) / float(row @ grey)
+    return starts
+
+
 def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     """Fit the coefficients of R, G, B in luminance by ridge regression towards a prior.
 
@@ -197,13 +211,7 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     if min(colours.y.min(), colours.rgb[:, 1].min()) <= 0:
         remedy = "remove its line from the csv, or use a frame with a longer exposure"
         raise InputError(source, "a reading or a patch of 0 or less", "values above 0", remedy)
-    # towards which the fit may pull: also the Y row of the frames' matrix from camera to XYZ,
-    # scaled to give the mean colour of the readings the same luminance
-    own, every = np.array(profile.colour.y_from_rgb), colours
-    starts = {"the profile's coefficients": own}
-    if colours.matrix is not None:
-        row, grey = np.linalg.inv(colours.matrix)[1], colours.rgb.mean(axis=0)
-        starts["the file's colour matrix"] = row * float(own @ grey) / float(row @ grey)
+    starts, every = _priors(colours, profile), colours
     colours, left_out = _without_outliers(colours, list(starts.values()))
     (prior, _), raw, choice = fit_steps.fit_and_choose(
         "colour",

@@ -371,13 +371,9 @@ def clock_offset(
     span = f"the brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M}"
     found = f"{span} by the camera's clock match no slot of the plan"
     expected = f"brackets near slots; that nearest to the first bracket is {str(nearest)[:16]} UTC"
-    remedy = (
-        "check that this is the right card; if its dates are right, add these days to the plan: "
-    )
-    remedy += (
-        f"fieldlum plan SESSION --add {first:%Y-%m-%d}; correct a date that is wrong by a day: "
-    )
-    remedy += 'exiftool -AllDates+="0:0:1 0:0:0" FOLDER'
+    right = f"add their days: fieldlum plan SESSION --add {first:%Y-%m-%d}"
+    wrong = 'correct them, for example by one day: exiftool -AllDates+="0:0:1 0:0:0" FOLDER'
+    remedy = f"check that this is the right card; if its dates are right, {right}; if not, {wrong}"
     raise InputError("the card", found, expected, remedy)
 
 

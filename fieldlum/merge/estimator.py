@@ -90,12 +90,7 @@ def merge_pixels(frames: Sequence[FramePixels], u_ratio: float) -> Merged:
     saturation gets a lower bound and the flag CLIPPED_HIGH. If a frame lost it only because its
     neighbour is saturated, it gets the value of the most exposed such frame, and the flag BLOOM.
     """
-    total, exposure = (np.zeros(frames[0].counts.shape, np.float32) for _ in range(2))
-    for frame in frames:
-        usable = frame.usable()
-        np.add(total, frame.counts, out=total, where=usable)
-        np.add(exposure, frame.signal.per_cdm2, out=exposure, where=usable)
-    mean = _quotient(total, exposure)  # cd/m2, without weights; infinite where nothing is usable
+    mean = _unweighted_mean(frames)
     weights: list[Floats32] = []
     information = mean  # inverse variance of the mean, from the first weighted pass on
     for _ in range(2):  # weights by the unweighted mean, then by their own mean
@@ -127,6 +122,19 @@ def _sum(weights: Sequence[Floats32], factors: Sequence[Floats32 | float]) -> Fl
 def _quotient(total: Floats32, weight: Floats32) -> Floats32:
     """Return total over weight; infinite where there is no weight."""
     return np.divide(total, weight, out=np.full_like(weight, np.inf), where=weight > 0)
+
+
+def _unweighted_mean(frames: Sequence[FramePixels]) -> Floats32:
+    """Return the sum of usable counts over the sum of their counts per cd/m2, in cd/m2.
+
+    It is infinite where no frame is usable.
+    """
+    total, exposure = (np.zeros(frames[0].counts.shape, np.float32) for _ in range(2))
+    for frame in frames:
+        usable = frame.usable()
+        np.add(total, frame.counts, out=total, where=usable)
+        np.add(exposure, frame.signal.per_cdm2, out=exposure, where=usable)
+    return _quotient(total, exposure)
 
 
 def _flag_motion(

@@ -146,6 +146,18 @@ def _matrix(samples: _Samples, lattice: _Lattice, sensor_shape: tuple[int, int])
     return sparse.coo_array((np.concatenate(values), places), shape).tocsr()
 
 
+def _samples_per_pixel(target: Target, lens: LensGeometry, spacing_px: float) -> int:
+    """Return how many samples along one edge of a target pixel are needed, 3 to 24.
+
+    spacing_px: distance of sensor pixels of one colour. Unless more than 24 were needed, none of
+    these pixels is between two samples, and energy is preserved within 0.35 % (docs/validation.md).
+    """
+    half = lens.half_angle_rad
+    most_px_per_rad = lens.radius_px * max(1.0 / np.sin(min(half, np.pi / 2)), 1.0 / half)
+    needed = np.ceil(most_px_per_rad * target.pixel_rad / (1.1 * spacing_px))
+    return int(np.clip(needed, 3, 24))
+
+
 # A raw camera needs 1 MB for each block of 36 square degrees of its sky cut. Chosen for 200 blocks.
 @lru_cache(maxsize=224)
 def resampler(
@@ -157,12 +169,7 @@ def resampler(
     for a sensor with all colours at every pixel, which has one matrix with the name "". The result
     is cached, because all brackets of a camera use it.
     """
-    # Samples along one edge of a target pixel. Unless more than 24 were needed, no sensor pixel of
-    # one colour is between two, and energy is preserved within 0.35 % (docs/validation.md).
-    half, spacing_px = lens.half_angle_rad, 2.0**0.5 if cfa else 1.0  # green pixels are densest
-    most_px_per_rad = lens.radius_px * max(1.0 / np.sin(min(half, np.pi / 2)), 1.0 / half)
-    needed = np.ceil(most_px_per_rad * target.pixel_rad / (1.1 * spacing_px))
-    sub = int(np.clip(needed, 3, 24))
+    sub = _samples_per_pixel(target, lens, 2.0**0.5 if cfa else 1.0)  # green pixels are densest
     height, width = target.shape
     # samples that fit the cache of a core; decides speed only
     step = max(1, 250_000 // (width * sub * sub))
@@ -300,10 +307,7 @@ def view_through(
     coverage = resampling.coverage.astype(np.float64)
     light = rgb @ weights
     if stray is None and profile.stray.angle_deg:
-        rays = target.rays(*(np.arange(count) + 0.5 for count in target.shape)).reshape(-1, 3)
-        kernel = (np.asarray(profile.stray.angle_deg), np.asarray(profile.stray.per_sr))
-        seen, solid_sr = np.where(coverage > 0, light, 0.0), target.solid_angles().ravel()
-        stray = stray_light.stray_cdm2(seen, solid_sr, rays, *kernel)
+        stray = _stray_of_lens(light, coverage > 0, profile, target)
     remaining, u_stray = light, np.zeros(len(rgb))
     if stray is not None:
         remaining, u_stray = np.maximum(light - stray, 0.0), profile.stray.u_rel * stray
@@ -322,6 +326,20 @@ def view_through(
         sensor=sensor,
         stray=stray,
     )
+
+
+def _stray_of_lens(
+    light: Floats, seen_mask: Mask, profile: CameraProfile, target: Target
+) -> Floats:
+    """Return the stray light [n] in cd/m2 that the light within a lens's field causes.
+
+    light [n]: recorded luminance [cd/m2] of the target's pixels, row by row; seen_mask [n]: True
+    for those that the lens sees.
+    """
+    rays = target.rays(*(np.arange(count) + 0.5 for count in target.shape)).reshape(-1, 3)
+    kernel = (np.asarray(profile.stray.angle_deg), np.asarray(profile.stray.per_sr))
+    seen = np.where(seen_mask, light, 0.0)
+    return stray_light.stray_cdm2(seen, target.solid_angles().ravel(), rays, *kernel)
 
 
 def blend(views: Sequence[LensView]) -> ProjectedImage:
@@ -401,13 +419,7 @@ def finished_map(
     attributes[U_PERCENT] = _shared_percents(view, np.maximum(light, 0.0) * solid_sr, profile)
     if colour.rgb_to_radiance:
         matrix = np.reshape(colour.rgb_to_radiance, (3, 3))
-        # Scaled for each pixel to give the luminance, which Radiance computes as
-        # 179 (.265 R + .670 G + .065 B). Pixels whose colour makes this impossible are grey.
-        positive = np.maximum(view.rgb @ matrix.T, 0.0)
-        own_y = (positive @ np.asarray(images.RADIANCE_Y))[:, None]
-        scale = np.divide(light[:, None], own_y, out=np.ones_like(own_y), where=own_y > 1e-12)
-        rgb = np.where(own_y > 1e-12, positive * scale, light[:, None]) / images.RADIANCE_LM_PER_W
-        rgb = rgb.astype(np.float32).reshape(*shape, 3)
+        rgb = _radiance_rgb(view.rgb @ matrix.T, light).reshape(*shape, 3)
         if colour.melanopic_from_rgb:
             weights = np.array(colour.melanopic_from_rgb)
             text = melanopic.attribute_text(weights, matrix, colour.melanopic_u_rel)
@@ -478,3 +490,16 @@ def _second_difference(light: Floats, seen_mask: Mask) -> Floats:
     """
     step = np.pad(np.diff(light, axis=0) * (seen_mask[1:] & seen_mask[:-1]), ((1, 1), (0, 0)))
     return np.diff(step, axis=0)
+
+
+def _radiance_rgb(colour: Floats, light: Floats) -> Floats32:
+    """Return radiance RGB [n, 3] in W/sr/m2, scaled for each pixel to give the luminance.
+
+    colour [n, 3]: RGB of Radiance in any unit; light [n]: luminance [cd/m2]. Radiance computes it
+    as 179 (.265 R + .670 G + .065 B). Pixels whose colour makes this impossible are grey.
+    """
+    positive = np.maximum(colour, 0.0)
+    own_y = (positive @ np.asarray(images.RADIANCE_Y))[:, None]
+    scale = np.divide(light[:, None], own_y, out=np.ones_like(own_y), where=own_y > 1e-12)
+    rgb = np.where(own_y > 1e-12, positive * scale, light[:, None]) / images.RADIANCE_LM_PER_W
+    return rgb.astype(np.float32)

@@ -97,6 +97,21 @@ def take_samples(frames: Sequence[Signal]) -> list[FramePixels]:
     return [FramePixels(signal, signal.strip(0, len(full))[0], full) for signal, full in sampled]
 
 
+def _mean_cdm2(long: FramePixels, short: FramePixels) -> Floats32:
+    """Return the mean luminance of two frames, weighted by the inverse variance, [...].
+
+    The noise of this mean is uncorrelated with that of the frames' ratio. Pixels chosen by the
+    light of the long frame alone are those with positive noise there: at dusk frames then differed
+    by 4 %.
+    """
+    per_long, per_short = long.signal.per_cdm2, short.signal.per_cdm2
+    unweighted = np.maximum((long.counts + short.counts) / (per_long + per_short), 0.0)
+    weight_long, weight_short = long.signal.weight(unweighted), short.signal.weight(unweighted)
+    information = np.maximum(weight_long * per_long + weight_short * per_short, 1e-30)
+    total = weight_long * long.counts + weight_short * short.counts
+    return np.maximum(total / information, 0.0)
+
+
 def _well_exposed(long: FramePixels, short: FramePixels) -> Floats32:
     """Return the n pixels that are well exposed in two frames, in columns, [6, n].
 
@@ -105,15 +120,7 @@ def _well_exposed(long: FramePixels, short: FramePixels) -> Floats32:
     ratio in the short frame.
     """
     assert long.full is not None and short.full is not None  # samples state it
-    # The noise of the mean, weighted by the inverse variance, is uncorrelated with that of the
-    # ratio. Pixels chosen by the light of the long frame alone are those with positive noise there:
-    # at dusk frames then differed by 4 %.
-    per_long, per_short = long.signal.per_cdm2, short.signal.per_cdm2
-    unweighted = np.maximum((long.counts + short.counts) / (per_long + per_short), 0.0)
-    weight_long, weight_short = long.signal.weight(unweighted), short.signal.weight(unweighted)
-    information = np.maximum(weight_long * per_long + weight_short * per_short, 1e-30)
-    total = weight_long * long.counts + weight_short * short.counts
-    mean_cdm2 = np.maximum(total / information, 0.0)
+    mean_cdm2 = _mean_cdm2(long, short)
     weight_long, weight_short = long.signal.weight(mean_cdm2), short.signal.weight(mean_cdm2)
     snr_long = mean_cdm2 * np.sqrt(weight_long * long.signal.per_cdm2)
     snr_short = mean_cdm2 * np.sqrt(weight_short * short.signal.per_cdm2)

@@ -394,11 +394,7 @@ def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDA
             _write_text(sheet, text, (x + 2, y + _HEIGHT + 13 * (line + 1)))
         path = session.panorama(sidecar.slot)
         if path.is_file():
-            panorama = images.read_panorama(path)
-            flags = 0 if panorama.flags is None else panorama.flags
-            light = np.where(flags, np.float32(np.nan), panorama.luminance_cdm2)
-            small = cv2.resize(light, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_NEAREST)
-            sheet[y : y + _HEIGHT, x : x + _WIDTH] = coloured(np.asarray(small, np.float32))
+            sheet[y : y + _HEIGHT, x : x + _WIDTH] = _thumbnail(path)
     sheet[foot + 4 : foot + 16, 6:466] = coloured(np.geomspace(*RANGE_CDM2, 460))
     for k, text in enumerate(("1", "10", "100", "1000", "10 000 cd/m2")):
         _write_text(sheet, text, (6 + min(115 * k, 430), foot + 29))
@@ -408,6 +404,15 @@ def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDA
 def _write_text(sheet: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
     """Write a small black text into the sheet; at: x, y of its lower left corner [px]."""
     cv2.putText(sheet, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.36, (0, 0, 0), 1, cv2.LINE_AA)
+
+
+def _thumbnail(path: Path) -> NDArray[np.uint8]:
+    """Return a panorama as a thumbnail in false colour, RGB [_HEIGHT, _WIDTH, 3]."""
+    panorama = images.read_panorama(path)
+    flags = 0 if panorama.flags is None else panorama.flags
+    light = np.where(flags, np.float32(np.nan), panorama.luminance_cdm2)
+    small = cv2.resize(light, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_NEAREST)
+    return coloured(np.asarray(small, np.float32))
 
 
 def write_summary(session: Session) -> None:

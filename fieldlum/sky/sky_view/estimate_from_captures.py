@@ -684,17 +684,11 @@ def _corrected_by_discs(
     shut = _panes_without_disc(decided.view, decided.scatters, suns, captured.disc_share)
     # All discs together correct the transmittance. Then each capture that contradicts a view of its
     # days corrects that view where the sun was.
-    gain = _gain(decided.view, captured).astype(np.float32)[:, None]  # of each row of the view
-    views, contradictions = [], dict.fromkeys(covered, _DARK)
+    gain, views, contradictions = _gain(decided.view, captured), [], dict.fromkeys(covered, _DARK)
     for view in (decided.view, *decided.seasons):
         holds = view.days_from(captured.light.day_of_year) <= REACH_DAYS
         then = captured.take(np.flatnonzero(holds).tolist()) if view.days else captured
-        # transmittance and bounds times `gain`, and no sky where `shut`
-        shares = np.where(shut, np.float32(0.0), [view.openness, view.low, view.high])
-        low, high = np.minimum(shares[1:] * gain, 1.0)
-        pane = np.minimum(view.transmittance * gain, 1.0)
-        scaled = replace(view, openness=shares[0], transmittance=pane, low=low, high=high)
-        corrected, contradictions_then = _corrected(scaled, then)
+        corrected, contradictions_then = _corrected(_scaled(view, gain, shut), then)
         views.append(corrected)
         contradictions |= contradictions_then
     decided = replace(decided, scatters=decided.scatters & ~shut)
@@ -750,6 +744,18 @@ def _gain(view: SkyView, captured: Captured) -> Floats:
     measured = -np.quantile(ratios, 0.4, axis=1, weights=weight, method="inverted_cdf")
     shrunk = measured / (1.0 + 1.0 / (weight.sum(axis=1) * (_SCALE_SD**2 + u_row**2)))
     return np.clip(np.exp(shrunk), 0.5, 1.5)
+
+
+def _scaled(view: SkyView, gain: Floats, shut: Mask) -> SkyView:
+    """Return the view with transmittance and bounds times `gain` [h], and no sky where `shut`.
+
+    gain: a factor for each row; shut: mask [h, w].
+    """
+    gain = gain.astype(np.float32)[:, None]
+    shares = np.where(shut, np.float32(0.0), [view.openness, view.low, view.high])
+    low, high = np.minimum(shares[1:] * gain, 1.0)
+    pane = np.minimum(view.transmittance * gain, 1.0)
+    return replace(view, openness=shares[0], transmittance=pane, low=low, high=high)
 
 
 def _corrected(view: SkyView, captured: Captured) -> tuple[SkyView, dict[datetime, str]]:

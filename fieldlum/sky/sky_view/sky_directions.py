@@ -133,12 +133,7 @@ def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyRefere
         other_spread = np.maximum(_other_spread(measured, light), 1e-3)
         count = (~np.isnan(measured)).sum(axis=0)
         spread = np.where(count < min(MIN_CAPTURES, len(light)), np.inf, spread / other_spread)
-        # ln of the factor by which a direction is brighter in diffuse light with the sun behind it
-        by_diffuse = measured - np.log(light.diffuse_lx)[:, None]
-        in_front = sun_in_front(light, rays[part])
-        with_sun, _ = _level_spread(np.where(in_front, by_diffuse, np.nan))
-        without_sun, _ = _level_spread(np.where(in_front, np.nan, by_diffuse))
-        out[:, part] = np.exp(level), spread, count, with_sun - without_sun
+        out[:, part] = np.exp(level), spread, count, _forward(measured, light, rays[part])
     return Followed(*out)
 
 
@@ -227,6 +222,19 @@ def _other_lx(light: Light) -> tuple[Floats, Floats]:
     """Return the diffuse and the total illuminance on the horizontal, [n] each."""
     upwards = np.maximum(light.sun_direction[:, 2], 0.0)
     return light.diffuse_lx, light.diffuse_lx + light.direct_lx * upwards
+
+
+def _forward(measured: Floats32, light: Light, rays: Floats) -> Floats:
+    """Return ln of the factor by which p directions are brighter with the sun behind them, [p].
+
+    The luminance is relative to the diffuse light. measured: ln of luminance [n, p]; light: outside
+    at the n captures; rays [p, 3].
+    """
+    by_diffuse = measured - np.log(light.diffuse_lx)[:, None]
+    in_front = sun_in_front(light, rays)
+    with_sun, _ = _level_spread(np.where(in_front, by_diffuse, np.nan))
+    without_sun, _ = _level_spread(np.where(in_front, np.nan, by_diffuse))
+    return with_sun - without_sun
 
 
 def sun_in_front(light: Light, rays: Floats) -> Mask:
