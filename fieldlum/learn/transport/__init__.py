@@ -185,7 +185,8 @@ class Transport:
         )  # [n, P]
         weights = equirect_solid_angles(*self.seen.shape)[self.seen]
         guess = squared_sd.astype(float) @ (weights / weights.sum())  # [n]
-        expected = calibrated.expected_mse(features, self.captured, guess)
+        distance = sun_distance_deg(features, self.captured)
+        expected = calibrated.expected_mse(features, self.captured, guess, distance)
         factor = calibrated.band * np.sqrt(expected / np.maximum(guess, 1e-12))  # [n]
         sd = np.minimum(np.sqrt(squared_sd) * factor.astype(squared_sd.dtype)[:, None], 1.0)
         # A trusted hour is at most 1.5 times as far from the captures as any held-out day.
@@ -553,6 +554,10 @@ def _candidate_inputs(
 
 
 LOG10_E = float(np.log10(np.e))
+# Angle from the nearest captured sun over which the error of held-out seasons replaces that of
+# held-out days. In five rooms of another renderer expected and true errors of hours rank alike by
+# .45 (.17 before), in nine others by .54 (.43); 4 or 12 degrees have more error in its mean.
+SUN_DISTANCE_DEG = 8.0
 
 
 def _declination_deg(days: NDArray) -> Array:
@@ -617,13 +622,16 @@ class Uncertainty:
         explained = np.einsum("ij,ij->i", cross @ self.second, cross)
         return np.maximum(hours.beam**2 - explained, 0.0) + solve.SECOND_NOISE
 
-    def expected_mse(self, hours: Features, captured: Features, guess: Array) -> Array:
+    def expected_mse(
+        self, hours: Features, captured: Features, guess: Array, distance_deg: Array
+    ) -> Array:
         """Return the log10 MSE to expect in m `hours`, [m]: `guess` [m], corrected by the tests.
 
         The factor is the errors of the tests divided by the guesses for the tests, each summed with
-        more weight for tests with a similar share of sun. captured: features of the n captures. If
-        `careful`, the result is at least the weighted mean error of the tests (geometric mean over
-        held-out days and seasons).
+        more weight for tests with a similar share of sun. captured: features of the n captures;
+        distance_deg: `sun_distance_deg` of the hours [m]. If `careful`, the result is at least the
+        weighted mean error of the tests: that of held-out days where the sun is as in a capture,
+        which approaches that of held-out seasons with the distance.
         """
         beam, n = captured.beam[self.tested], len(captured)
         # Hours with a tenth more or less sun are similar.
@@ -634,7 +642,18 @@ class Uncertainty:
         # Of the k tests, the first n are of held-out days, the next n of held-out seasons.
         groups = [slice(start, start + n) for start in range(0, len(beam), n)]
         means = [weight[:, g] @ self.error_of[g] / weight[:, g].sum(axis=1) for g in groups]
-        return np.maximum(expected, np.exp(np.log(means).mean(axis=0)))
+        near = np.exp(-distance_deg / SUN_DISTANCE_DEG)
+        return np.maximum(expected, means[0] ** near * means[-1] ** (1.0 - near))
+
+
+def sun_distance_deg(hours: Features, captured: Features) -> Array:
+    """Return the angle between the sun of each of m hours and the nearest captured sun, [m].
+
+    Captures with less than a fifth of their light from the sun do not count; 180 without others.
+    """
+    suns = captured.direction[captured.beam > 0.2]
+    cosine = np.max(hours.direction @ suns.T, axis=1, initial=-1.0)
+    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def log10_variance(
@@ -684,6 +703,7 @@ def calibrate(
             solve.hold_out(replace(arrays, days=days), basis, noise),
             _held_out_variance(inverse, hour_noise, days),
             _held_out_variance(second, np.zeros(len(days)), days),
+            _held_out_distance_deg(arrays.features, days),
         )
         for days in (groups if groups[1].max() > 0 else groups[:1])
     ]
@@ -705,7 +725,8 @@ def calibrate(
         careful=careful,
     )
     features, rows = arrays.features, out.tested
-    expected = out.expected_mse(features[rows], features, guess)
+    distance = np.concatenate([test.distance_deg for test in tests])
+    expected = out.expected_mse(features[rows], features, guess, distance)
     # Each hour's variances are scaled to the error to expect; that of the irradiance is added.
     variance = np.concatenate(variances) * (expected / guess)[:, None]
     sd = np.sqrt(variance + LOG10_E**2 * arrays.unsure[rows, None])
@@ -719,12 +740,14 @@ def calibrate(
 class _Test(NamedTuple):
     """n captured hours as predicted from other days or seasons.
 
-    variance, second: variances of the hours in the first and in the second stage [n].
+    variance, second: variances of the hours in the first and in the second stage [n];
+    distance_deg: from their sun to the nearest one of the other days or seasons [n].
     """
 
     held: solve.HeldOutFit
     variance: Array
     second: Array
+    distance_deg: Array
 
     def log10_variance(self, arrays: TrainingArrays, patch: float, residual: Floats32) -> Floats:
         """Return the estimated variance of log10 L of the n hours at P pixels, [n, P].
@@ -749,6 +772,15 @@ def _held_out_variance(inverse: Array, hour_noise: Array, days: NDArray) -> Arra
         rows = np.flatnonzero(days == day)
         variance[rows] = np.diagonal(np.linalg.inv(inverse[np.ix_(rows, rows)])) - hour_noise[rows]
     return np.maximum(variance, 0.0)
+
+
+def _held_out_distance_deg(captured: Features, days: NDArray) -> Array:
+    """Return `sun_distance_deg` of n captures from those of other `days` [n], [n]."""
+    distance = np.empty(len(days))
+    for day in np.unique(days):
+        rows = days == day
+        distance[rows] = sun_distance_deg(captured[rows], captured[~rows])
+    return distance
 
 
 def _patch_sd(arrays: TrainingArrays, held: solve.HeldOutFit) -> float:
