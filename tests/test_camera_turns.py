@@ -126,6 +126,19 @@ def test_a_large_turn_of_half_a_day_is_right_in_a_room_by_mitsuba(turn_px: int) 
 
 @pytest.mark.slow
 @pytest.mark.authority
+def test_half_a_pixel_for_good_is_found_in_all_captures_in_a_room_by_mitsuba() -> None:
+    """The edges of a third of the captures are half a pixel from those of the others."""
+    maps = rendered("nordic", "set_9d")
+    after, half_px = np.arange(len(maps)) >= 64, (90.0 / maps.shape[1], 0.0, 0.0)
+    for k in np.flatnonzero(after):
+        maps[k] = np.exp(turned_back(np.log(maps[k]), HEADING, np.negative(half_px)))
+    found = camera_turns(maps, np.ones(maps.shape[1:], bool), HEADING)
+    assert (found.turned == after).all()
+    assert found.angles_deg[after] == pytest.approx(np.tile(half_px, (after.sum(), 1)), abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.authority
 @pytest.mark.parametrize("turn_px", [12, 58])
 def test_a_camera_turned_too_far_is_found_in_a_room_by_mitsuba(turn_px: int) -> None:
     """Turned for good after two thirds, and, once, for single captures."""

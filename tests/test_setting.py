@@ -14,7 +14,7 @@ from places import SEATTLE
 from fieldlum.core.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.learn.models import Fitted
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.learn.transport import fit
+from fieldlum.learn.transport import fit, sun_distance_deg
 from fieldlum.room.fit.misplaced_patches import (
     Misplacement,
     misplacement_of,
@@ -168,11 +168,31 @@ def test_experience_of_like_suns_raises_the_expectation() -> None:
     sunny = hours.beam > 0.3
     wrong = np.where(sunny[of.tested], 20.0, 1.0) * of.guess_of
     of = replace(of, error_of=wrong, careful=False)
-    guess = np.full(len(hours), 1e-3)
-    expected = of.expected_mse(hours, hours, guess)
+    guess, here = np.full(len(hours), 1e-3), np.zeros(len(hours))
+    expected = of.expected_mse(hours, hours, guess, here)
     assert (expected[sunny] > 0.015).all() and (expected[hours.beam < 0.01] < 2e-3).all()
-    careful = replace(of, careful=True).expected_mse(hours, hours, guess)
+    careful = replace(of, careful=True).expected_mse(hours, hours, guess, here)
     assert (careful >= expected).all()
+
+
+@pytest.mark.slow
+@pytest.mark.property
+def test_far_from_captured_suns_the_error_of_held_out_seasons_is_expected() -> None:
+    model = fit(captured())
+    hours, of = model.captured, model.uncertainty
+    n = len(hours)
+    assert len(of.tested) == 2 * n  # held-out days, then seasons
+    of = replace(of, error_of=np.repeat((1e-3, 1e-2), n), careful=True)
+    guess, angle = np.full(n, 1e-9), np.full(n, 8.0)
+    for distance_deg, share in (
+        (0.0 * angle, 0.0),
+        (angle, 1.0 - np.exp(-1.0)),
+        (1e3 * angle, 1.0),
+    ):
+        expected = of.expected_mse(hours, hours, guess, distance_deg)
+        assert expected == pytest.approx(np.full(n, 10.0 ** (share - 3.0)), rel=1e-6)
+    assert sun_distance_deg(hours, hours)[hours.beam > 0.2] == pytest.approx(0.0, abs=1e-3)
+    assert (sun_distance_deg(hours, hours[hours.beam < 0.1]) == 180.0).all()
 
 
 @pytest.mark.contract
