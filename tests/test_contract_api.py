@@ -99,6 +99,24 @@ def test_import_is_light() -> None:
 
 
 @pytest.mark.contract
+def test_masked_pixels_have_no_uncertainty(tmp_path: Path) -> None:
+    """They were read back with the values under the mask."""
+    maps = np.full((16, 32), 100.0)
+    masked = np.ma.masked_greater(np.tile(np.linspace(1.0, 9.0, 32), (16, 1)), 5.0)
+    fieldlum.write_panorama(tmp_path / "a.exr", fieldlum.Panorama(maps, 0.0, u_cdm2=masked))
+    again = fieldlum.read_panorama(tmp_path / "a.exr").u_cdm2
+    assert again is not None
+    np.testing.assert_array_equal(np.isnan(again), masked.mask)
+
+
+@pytest.mark.contract
+def test_the_hour_before_sunrise_may_have_some_beam() -> None:
+    """Means of an hour: at its middle the sun is 2 degrees below the horizon."""
+    light = fieldlum.light_at("2027-06-21T11:58Z", OFFICE, [30.0], [15.0])
+    assert -3.0 < light.sun_altitude_deg[0] < -1.0
+
+
+@pytest.mark.contract
 @pytest.mark.parametrize("suffix", [".exr", ".hdr"])
 def test_panorama_is_written_and_read(tmp_path: Path, suffix: str) -> None:
     maps = np.geomspace(1.0, 1e4, 16 * 32, dtype=np.float32).reshape(16, 32)
@@ -228,6 +246,9 @@ def test_coordinates_ascend_so_that_plots_work_with_every_heading(heading_deg: f
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, -1.0, 1.0), "0 to 1600 W/m2"),
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, 8e4, 1.0), "0 to 1600 W/m2"),
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, MASKED, 1.0), "values nan"),
+        (lambda: fieldlum.light_at("2027-06-21T08:00Z", OFFICE, 800.0, 120.0), "zone, the site"),
+        (lambda: fieldlum.light_at("2027-06-21T20:30Z", OFFICE, 1500.0, 90.0), "sun at 65.5"),
+        (lambda: fieldlum.light_at("2027-12-21T20:30Z", OFFICE, 90.0, 800.0), "dhi_wm2"),
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", 3, 1.0, 1.0), "a value of type int"),
         (lambda: fieldlum.evaluate_glare("a.exr", ["north"]), "view_azimuths_deg"),
         (lambda: fieldlum.evaluate_glare("a.exr", 180.0), "view_azimuths_deg"),

@@ -20,6 +20,7 @@ from fieldlum.sky.light_similarity import facades_of
 from fieldlum.year.glare.standards import year_errors
 from fieldlum.year.predict.hour_blocks import predict_figures, room_of
 from fieldlum.year.predict.melanopic import (
+    ENOUGH_HOURS,
     MelanopicYear,
     YearHours,
     _parts,
@@ -131,6 +132,15 @@ def test_a_sky_without_its_sun_keeps_its_luminance() -> None:
     with_sun, without = hours.sky_at(up), shade.sky_at(up)
     assert without[:, 0] == pytest.approx(with_sun[:, 0], rel=1e-5)
     assert (without[:, 1] <= with_sun[:, 1] * (1 + 1e-6)).all() and not shade.direct_lx.any()
+
+
+@pytest.mark.analytic
+def test_a_share_of_no_day_is_unknown() -> None:
+    """Weather of afternoons alone: the shares of days from 09:00 to 13:00 were 0 %."""
+    summary = PredictFile(known=(2082, 0))
+    hours = YearHours.of([datetime(2027, 1, 1, 21, 30, tzinfo=UTC)], "UTC", summary)
+    shares = hours.shares(np.full((1, 1), 500.0))
+    assert [name for name, share in shares.items() if np.isfinite(share[0])] == [ENOUGH_HOURS]
 
 
 @pytest.mark.analytic

@@ -1155,6 +1155,14 @@ def test_occupancy_takes_hours_of_one_digit(tmp_path: Path, start: str, end: str
 
 
 @pytest.mark.contract
+def test_a_period_between_the_middles_of_hours_is_refused(tmp_path: Path) -> None:
+    """It was counted as 0 hours, without a word."""
+    (tmp_path / "a.csv").write_text("days,start,end\nmon,12:30,13:00\nmon,12:35,13:25\n")
+    with pytest.raises(InputError, match=r"12:35 to 13:25 without the middle.*correct line 3"):
+        read_occupancy(tmp_path / "a.csv")
+
+
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("days", "count"),
     [

@@ -16,6 +16,7 @@ from places import SEATTLE
 from fieldlum.cli import main
 from fieldlum.core.records import CameraSetup, Flag, Panorama, SiteFile, Slot
 from fieldlum.optics.images import write_panorama
+from fieldlum.optics.profiles import find_camera_profile
 from fieldlum.session import Session, create_session
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 
@@ -70,6 +71,26 @@ def test_a_packed_session_has_metadata_and_checksums_and_no_addresses(session: S
     for line in content["MANIFEST.sha256"].decode().splitlines():
         digest, _, name = line.partition("  ")
         assert hashlib.sha256(content[name]).hexdigest() == digest
+
+
+@pytest.mark.contract
+def test_a_profile_of_ones_own_is_packed_without_its_folder(session: Session) -> None:
+    own = session.root.parent / "home" / "alice" / "mine.toml"
+    own.parent.mkdir(parents=True)
+    own.write_bytes(find_camera_profile("sim-fisheye").read_bytes())
+    text = session.toml.read_text().replace('profile = ""', f'profile = "{own}"')
+    session.toml.write_text(text + '[devices.camera]\nserial = "123"\n')
+    ran = pack(session)
+    assert ran.exit_code == 0 and "serial numbers of the devices" in ran.output
+    with zipfile.ZipFile(session.root.parent / "out.zip") as archive:
+        assert archive.read("office/calibration/mine.toml") == own.read_bytes()
+        assert 'profile = "calibration/mine.toml"' in archive.read("office/session.toml").decode()
+        assert b"alice" not in archive.read("office/DATASHEET.md")
+        about = json.loads(archive.read("office/datacite.json"))
+    assert about["publicationYear"] == str(datetime.now(UTC).year)
+    own.unlink()
+    (session.root.parent / "out.zip").unlink()
+    assert "profile mine.toml is not found" in pack(session).output
 
 
 @pytest.mark.contract

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -14,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fieldlum.api.measurement import path_of, place
-from fieldlum.core.errors import InputError, input_errors, require_name
+from fieldlum.core.errors import Caution, InputError, input_errors, require_name
 from fieldlum.core.records import Site, SiteFile, parse_utc
 from fieldlum.core.strict_csv import IRRADIANCE_LIMITS_WM2
 from fieldlum.session import Session
-from fieldlum.sky import daylight
+from fieldlum.sky import daylight, sun
 from fieldlum.sky.daylight import Light
 from fieldlum.year.glare.sources import view_azimuths_deg
 
@@ -183,7 +184,7 @@ def fit(
     seed: int = 0,
     out: str | Path | None = None,
 ) -> RoomModel:
-    """Fit a model of the room to captured hours.
+    """Fit a model of the room to captured hours; its warnings are `Caution`.
 
     Parameters
     ----------
@@ -233,7 +234,10 @@ def fit(
     require_name("patch", patch, get_args(Patch))
     with nullcontext(out) if out is not None else TemporaryDirectory() as where:
         folder = path_of(where, "out")
-        train.run(data, model, budget_min=budget_min, patch=patch, seed=seed, out=folder)
+        told = train.run(data, model, budget_min=budget_min, patch=patch, seed=seed, out=folder)
+        for note in told["notes"]:
+            if note.startswith("WARNING"):
+                warnings.warn(note.removeprefix("WARNING: "), Caution, stacklevel=2)
         return load_model(folder)
 
 
@@ -298,8 +302,8 @@ def light_at(
     Raises
     ------
     InputError
-        A time is unreadable or has no time zone, or an irradiance is no number or has another
-        length than the times.
+        A time is unreadable or has no time zone, or an irradiance is no number, has another length
+        than the times, or is more than any sky gives (BSRN's rare limits, half an hour around).
 
     Examples
     --------
@@ -322,7 +326,18 @@ def light_at(
             found = f"values {numbers.min():g} to {numbers.max():g}"
             raise InputError(name, found, f"0 to {highest:g} W/m2", "correct it")
         values.append(numbers)
-    return daylight.light_at(times, place(site), *values)
+    light = daylight.light_at(times, place(site), *values)
+    # the mean of an hour has the sun of up to half an hour earlier or later, 7.5 degrees away
+    top = (light.sun_altitude_deg + 7.5, sun.extraterrestrial_wm2(times))
+    limits = sun.bsrn_limits(*top, extreme=True)
+    for name in ("dni_wm2", "dhi_wm2"):
+        numbers, highest = getattr(light, name), getattr(limits, name)[1]
+        for k in np.flatnonzero(numbers > highest)[:1]:
+            sun_deg = f"the sun at {light.sun_altitude_deg[k]:.1f} degrees"
+            found = f"{numbers[k]:g} at {times[k]:%Y-%m-%dT%H:%M%z}, with {sun_deg}"
+            remedy = "correct the times' zone, the site, or the order of DNI and DHI"
+            raise InputError(name, found, f"at most {highest[k]:.0f} W/m2", remedy)
+    return light
 
 
 def predict_year(

@@ -177,18 +177,23 @@ def _checked(panorama: object) -> Panorama:
     if not isinstance(panorama, Panorama):
         found = f"a value of type {type(panorama).__name__}"
         raise InputError(what, found, "a Panorama", "pass fieldlum.Panorama(map, heading_deg)")
-    sun, flags, t_utc, rgb = panorama.sun, panorama.flags, panorama.t_utc, panorama.rgb
+    sun, flags, t_utc = panorama.sun, panorama.flags, panorama.t_utc
     expected, remedy = "what help(fieldlum.Panorama) describes", "correct the value"
     with input_errors(what, expected, remedy, TypeError, ValueError):
-        light = np.ma.filled(np.ma.asarray(panorama.luminance_cdm2, dtype=float), np.nan)
+        light, u_cdm2, rgb = (
+            None if part is None else np.ma.filled(np.ma.asarray(part, dtype=float), np.nan)
+            for part in (panorama.luminance_cdm2, panorama.u_cdm2, panorama.rgb)
+        )
+        if light is None:
+            raise ValueError("no luminance_cdm2")
         if light.ndim != 2 or not light.size:
             raise ValueError(f"luminance_cdm2 of shape {light.shape}")
         if np.isinf(light).any():
             raise ValueError("an infinite luminance")
         for name in ("u_cdm2", "flags", "rgb"):
-            values, shape = getattr(panorama, name), light.shape + (3,) * (name == "rgb")
-            if values is not None and np.shape(values) != shape:
-                raise ValueError(f"{name} of shape {np.shape(values)}")
+            part, shape = getattr(panorama, name), light.shape + (3,) * (name == "rgb")
+            if part is not None and np.shape(part) != shape:
+                raise ValueError(f"{name} of shape {np.shape(part)}")
         if flags is not None and (flags := np.asarray(flags)).dtype.kind not in "iu":
             raise ValueError("flags that are no integers")
         if not np.isfinite(heading_deg := float(panorama.heading_deg)):
@@ -203,9 +208,8 @@ def _checked(panorama: object) -> Panorama:
             and 0.0 <= sun.visible_fraction <= 1.0
         ):
             raise ValueError(f"an impossible sun, {sun}")
-        rgb = None if rgb is None else np.asarray(rgb, float)
-    values = {"luminance_cdm2": light, "heading_deg": heading_deg, "flags": flags, "rgb": rgb}
-    panorama = replace(panorama, **values)
+    values = {"luminance_cdm2": light, "u_cdm2": u_cdm2, "rgb": rgb}
+    panorama = replace(panorama, **values, heading_deg=heading_deg, flags=flags)
     images.require_panorama(panorama, what)
     return panorama
 

@@ -11,6 +11,7 @@ import re
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from datetime import date
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,7 +25,7 @@ from fieldlum.core.errors import Caution, InputError, NotEnoughDataError
 from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Flag, Room, counted, listed
-from fieldlum.optics import images, raw
+from fieldlum.optics import images, profiles, raw
 from fieldlum.optics.projection import NOT_SEEN, direction, seen_shares, seen_words
 from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.room.fit.scene_file import SCENE_TOML, read_scene
@@ -97,7 +98,8 @@ def _sky(session: Session, out: Path) -> list[Path]:
 
     The csv has a row for each degree of azimuth and of altitude, 0 to 90. The picture is an
     equidistant fisheye that looks to the zenith, north up and east left as in pictures of the sky:
-    white where the beam arrives, black where it does not, grey where no lens saw. out: the folder.
+    white where the beam arrives, black where it does not, grey where that is unknown: no lens saw
+    the direction, or the sun is never there. out: the folder.
     """
     view = SkyView.find(session.root / "sky_view.exr")
     if view is None:
@@ -175,6 +177,7 @@ _FOLDERS = ("raw", "panoramas", "irradiance", "sunpatches", "annual", "scene")
 _FILES = ("plan.csv", "journal.jsonl", "pairs.csv", "pairs.alignment.csv", "suns.csv")
 _PERSONAL_PATH = re.compile(rb"/home/|/Users/|[A-Z]:[\\]+Users")
 _LEFT_OUT = re.compile(r"(^|/)\.|\.(tmp|torn|sha256|zip)$|^outbox")
+_SERIAL_KEY = re.compile(r'^serial = "[^"]', re.MULTILINE)
 _LOCAL_TABLES = ("imported", "logger_files")  # of session.toml; they name folders of this computer
 _JPEG = (".jpg", ".jpeg")
 _FRAMES = (*_JPEG, ".tif", ".tiff", ".png", ".heic", *raw.RAW_SUFFIXES)
@@ -222,12 +225,13 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
             "-LensSerialNumber= -CameraSerialNumber= -r COPY/raw (merge it again)"
         )
         raise InputError(session.root, found, "frames without position, owner, serial", remedy)
-    notes = _notes(session)
+    profile, setup = _own_profile(session), _session_toml(session)
+    notes = _notes(session, setup)
     if unread := [p.name for p, text in exif if text is None and not p.match("contact-*.png")]:
         found = counted(len(unread), "frame")
         notes.insert(0, f"EXIF of {found} such as {unread[0]} cannot be read: look with exiftool")
     texts = {
-        "session.toml": _session_toml(session),
+        "session.toml": setup,
         "DATASHEET.md": _data_sheet(session, statement, notes, len(files)),
         "datacite.json": json.dumps(_datacite(session, statement), indent=1, ensure_ascii=False),
     }
@@ -248,6 +252,8 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
             progress(number, len(files), "files")
             codec.warn_if_changed(path)  # the archive has no checksum files, but its own manifest
             add(path.relative_to(session.root).as_posix(), read_bytes(path))
+        if profile is not None and profile.is_file():
+            add(_packed_profile(profile), read_bytes(profile))
         manifest = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests))
         archive.writestr(f"{top}/MANIFEST.sha256", manifest)
     return notes
@@ -284,16 +290,35 @@ def _private_exif(path: Path) -> str | None:
     return f"{path.name} ({', '.join(found)})" if found else ""
 
 
+def _own_profile(session: Session) -> Path | None:
+    """Return the file of the session's camera profile, which may be missing; None if shipped."""
+    name = session.site_file().camera.profile
+    with suppress(InputError):
+        path = profiles.find_camera_profile(name)
+        return None if path.parent == profiles.shipped("calibration") else path
+    return Path(name)
+
+
+def _packed_profile(profile: Path) -> str:
+    """Return where an archive has a camera profile of one's own, relative to its session."""
+    return f"calibration/{profile.name}"
+
+
 def _session_toml(session: Session) -> str:
     """Return session.toml without folders of this computer and addresses of devices."""
     stored = strict_toml.read_toml(session.toml)
     table = {name: part for name, part in stored.items() if name not in _LOCAL_TABLES}
     table.get("devices", {}).pop("uris", None)
+    if (profile := _own_profile(session)) is not None:
+        table["setup"]["camera"]["profile"] = _packed_profile(profile)
     return tomli_w.dumps(table)
 
 
-def _notes(session: Session) -> list[str]:
-    """Return what the authors should check before they publish, one sentence each."""
+def _notes(session: Session, setup: str) -> list[str]:
+    """Return what the authors should check before they publish, one sentence each.
+
+    setup: session.toml as it is packed.
+    """
     notes, moved = [], []
     for path in session.panorama_files():
         flags = images.read_panorama(path).flags
@@ -302,9 +327,14 @@ def _notes(session: Session) -> list[str]:
             moved.append(path.stem)
     if moved:
         notes.append(f"something moved, perhaps people: look at the frames of {listed(moved)}")
-    texts = [session.root / name for name in _FILES if (session.root / name).is_file()]
-    if named := [path.name for path in texts if _PERSONAL_PATH.search(read_bytes(path))]:
+    files = [session.root / name for name in _FILES if (session.root / name).is_file()]
+    texts = {"session.toml": setup.encode(), **{path.name: read_bytes(path) for path in files}}
+    if named := [name for name, text in texts.items() if _PERSONAL_PATH.search(text)]:
         notes.append(f"folders of this computer are named in {', '.join(named)}")
+    if (profile := _own_profile(session)) is not None and not profile.is_file():
+        notes.append(f"the camera profile {profile.name} is not found, and so is not packed")
+    if _SERIAL_KEY.search(setup):
+        notes.append("session.toml and raw/SLOT/capture.json have serial numbers of the devices")
     place = "latitude and longitude in session.toml, and the suns in the tables, give the place"
     people = "look at every contact sheet for people, screens and papers before you publish"
     years = map(read_annual, session.annual_folders())
@@ -331,7 +361,7 @@ def _data_sheet(session: Session, s: Statement, notes: Sequence[str], count: int
 - **What**: luminance of {setup.site.name}: {counted(captured, "bracket")}, {counted(merged, "map")}
   in cd/m2 with uncertainty and flags, irradiance in W/m2; {counted(count, "file")}.
 - **When**: {first} to {last}, UTC. **Where**: latitude and longitude in session.toml.
-- **How**: camera profile "{setup.camera.profile or "none stated"}", heading
+- **How**: camera profile "{Path(setup.camera.profile).name or "none stated"}", heading
   {setup.camera.heading_deg:g} degrees from true north; merged and paired by fieldlum {__version__}.
 - **People**: {s.people}
 - **Files**: docs/file-formats.md of fieldlum; MANIFEST.sha256 has the checksum of each file.
@@ -349,7 +379,7 @@ def _datacite(session: Session, s: Statement) -> dict[str, Any]:
         "titles": [{"title": s.title}],
         "creators": [{"name": author} for author in s.authors],
         "publisher": {"name": s.publisher},
-        "publicationYear": last[:4],
+        "publicationYear": str(date.today().year),  # noqa: DTZ011
         "types": {"resourceTypeGeneral": "Dataset", "resourceType": "luminance maps"},
         "subjects": [{"subject": word} for word in ("daylight", "glare", "HDR photography")],
         "dates": [{"date": f"{first}/{last}", "dateType": "Collected"}],

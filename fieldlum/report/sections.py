@@ -469,6 +469,7 @@ def _held_out_figure(held: HeldOutMaps, names: Mapping[str, str]) -> Figure:
 _COLUMNS = {"name": "model", "fit_s": "fit, s", "judged_dgp_error": "DGP error"}
 _COLUMNS |= {"judged_ev_error": "ln Ev error", "judged_log10_mse": "log10 MSE"}
 _COLUMNS |= {"dgp_mae": "DGP error, all hours"}
+_COLUMNS |= {"log10_mse_weighted": "log10 MSE, all hours"}
 
 
 def _score_table(scores: ScoresFile) -> Table:

@@ -314,18 +314,18 @@ class YearHours:
         key of `ENOUGH_DAYS` is the share of the days on which all four hours from 09:00 to 13:00
         have at least its limit, 109, 136, 163 or 250 lx (WELL v2, L03). Hours in the dark count as
         without light. Hours with the sun up but without weather, and days with such an hour from
-        09:00 to 13:00, are left out. A direction without any EDI has NaN.
+        09:00 to 13:00, are left out. A direction without any EDI has NaN, as has a share of none.
         """
         first, last = BROWN_HOURS
         enough = edi_lx[(self.hour >= first) & (self.hour < last)] >= BROWN_EDI_LX
-        share = {ENOUGH_HOURS: enough.sum(axis=0) / max(self.known[0], 1)}
+        share = {ENOUGH_HOURS: enough.sum(axis=0) / (self.known[0] or np.nan)}
         rows, first = np.isin(self.hour, range(*WELL_HOURS)), WELL_HOURS[0]
         by_day = np.zeros(
             (WELL_HOURS[1] - first, int(self.day.max(initial=0)) + 1, edi_lx.shape[1])
         )
         by_day[self.hour[rows] - first, self.day[rows]] = edi_lx[rows]  # [hours, days, d]
         days = (by_day.min(axis=0) >= np.array(WELL_EDI_LX)[:, None, None]).sum(axis=1)
-        share |= dict(zip(ENOUGH_DAYS, days / max(self.known[1], 1), strict=True))
+        share |= dict(zip(ENOUGH_DAYS, days / (self.known[1] or np.nan), strict=True))
         has_edi = np.isfinite(edi_lx).any(axis=0)
         return {name: np.where(has_edi, 100.0 * s, np.nan) for name, s in share.items()}
 

@@ -64,7 +64,8 @@ def read_occupancy(path: Path | None) -> Occupancy:
 
     Its columns are days, start and end, with a row for each period (mon-fri,08:00,18:00). days:
     English weekdays, in short or in full, or ranges of them, separated by blanks ("mon-wed fri").
-    start, end: local clock time; end is after start, and 24:00 ends the day. Or the file has a
+    start, end: local clock time; end is after start, and 24:00 ends the day. An hour of the year is
+    occupied if its middle (hh:30) is in a period; a period has at least one. Or the file has a
     column `occupied` with 8760 rows of 0 or 1, for the hours of local standard time from 1 January
     00:00, without 29 February.
 
@@ -85,6 +86,8 @@ def read_occupancy(path: Path | None) -> Occupancy:
             start, end = map(_time, times)
             if not start < end:
                 raise ValueError(f"{times[0]} is not before {times[1]}")
+            if not any(start <= time(hour, 30) < end for hour in range(24)):
+                raise ValueError(f"{times[0]} to {times[1]} without the middle (hh:30) of an hour")
             periods += [(day, start, end) for day in _days(days)]
     if not periods:
         raise InputError(path, "no period in the file", EXPECTED, "write one row for each period")
