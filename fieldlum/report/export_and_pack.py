@@ -51,8 +51,9 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
     maps/SLOT-AZ.hdr: Radiance fisheyes with VIEW and the sun, facing `azimuths_deg` (clockwise from
     true north; the camera's heading if empty). sky_view.csv: by altitude_deg and azimuth_deg,
     beam_share: the share of the sun's beam that arrives from there, with its 95 % bounds low and
-    high, empty where no lens saw; sky_view_mask.png: the same as a fisheye. room.rad: the fitted
-    room, else the stated one, in room axes; room.hbjson: the same for honeybee, in true north.
+    high, empty where it is unknown (not seen, or never sunny); sky_view_mask.png: the same as a
+    fisheye. room.rad: the fitted room, else the stated one, in room axes; room.hbjson: the same for
+    honeybee, in true north.
     pairs.nc: usable rows of pairs.csv; year.nc: the newest predicted year; both netCDF 3 with
     units. Earlier files of these names are replaced. Raises InputError for a damaged file, and for
     a room.rad or room.hbjson in `out` that export did not write; NotEnoughDataError without a
