@@ -19,9 +19,10 @@ from fieldlum.year.glare.picture_glare import glare_answer, panorama_glare
 from fieldlum.year.glare.pictures import Picture
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, exceeded_in_share
 from fieldlum.year.glare.uncertainty_budget import (
+    CAMERA,
     Budget,
-    camera_share,
     picture_budget,
+    share_of,
     year_budget,
 )
 
@@ -147,7 +148,7 @@ def test_the_budget_of_a_year_sums_to_monte_carlo() -> None:
         error = 0.02 * np.sqrt(0.5) * (common + own) + 0.04 * rng.standard_normal() * slope
         drawn.append(exceeded_in_share(np.clip(values + error, 0, 1), 3000)[0])
     assert row.u == pytest.approx(np.std(drawn), rel=0.1)
-    assert camera_share([row]) == pytest.approx(row.sources[1].contribution ** 2 / row.u**2)
+    assert share_of(CAMERA, [row]) == pytest.approx(row.sources[1].contribution ** 2 / row.u**2)
 
 
 @pytest.mark.contract

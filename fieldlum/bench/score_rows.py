@@ -16,7 +16,7 @@ from fieldlum.core.records import JsonTable
 from fieldlum.learn import model_kinds, models
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.scores import Truth, evaluate, summary
-from fieldlum.learn.models.training_data import Dataset, load_pairs, with_sky_view
+from fieldlum.learn.models.training_data import Dataset, in_usual_room, load_pairs, with_sky_view
 from fieldlum.learn.train import Spent, Trial, day_folds, evaluate_folds, fit_timed, patch_mode
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.room.fit.apply_scene import apply_scene
@@ -103,7 +103,7 @@ def load(
     heading, NotEnoughDataError if no test hour is left.
     """
     specs = parse_specs(models)
-    data = with_sky_view(load_pairs(pairs, site), sky_view)
+    data = in_usual_room(with_sky_view(load_pairs(pairs, site), sky_view))
     data, _ = apply_scene(data, pairs, scene, "absolute")
     if test is None:
         return BenchData(data, None, specs)

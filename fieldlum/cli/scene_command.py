@@ -45,12 +45,12 @@ def fit(
       --clock-sd: Standard uncertainty of the captures' times in minutes; 0.1 for a clock
           set by NTP.
     """
-    from fieldlum.learn.models.training_data import load_pairs
+    from fieldlum.learn.models.training_data import in_usual_room, load_pairs
     from fieldlum.room.fit.stage import run
 
     folder = out or (pairs if pairs.is_dir() else pairs.parent) / "scene"
     with progress("reading pictures"):
-        data = load_pairs(pairs, site)
+        data = in_usual_room(load_pairs(pairs, site))
     with progress("fitting the scene"):
         scene, files = run(data, folder, clock_sd_min=clock_sd)
     print_answer(as_json, answer_of(scene), _lines(scene))

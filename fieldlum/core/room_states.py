@@ -48,6 +48,15 @@ def cover_state(text: str) -> str:
     return ";".join(part for part in parse_state(text) if part.startswith(COVER_WORDS))
 
 
+def without_lamps(text: str) -> str:
+    """Return the unusual parts of a state that change the room's response to daylight.
+
+    Several parts (of blind, snow and tint) are separated by semicolons. Raises ValueError as
+    `parse_state` does.
+    """
+    return ";".join(part for part in parse_state(text) if not part.startswith(LAMP_WORD))
+
+
 def _values(text: str) -> dict[str, str]:
     """Return the value of each word in a state such as "blind=half; lamp=on".
 

@@ -79,9 +79,7 @@ class Features:
     its solid angle; beam [n]: the sun's normal illuminance, so its share of the total, 0 to 1;
     direction [n, 3]: unit vector to the true sun; bounced [n, k]: k features of the sun's reflected
     light in a coarse room model (`Physics.features`), None without one; lamps [n, l]: for each of l
-    lamps 1 000 lx over the total light while it is on, else 0, None without lamps; changed [n, m]:
-    for each of m states that change the room's response to daylight (such as blind=down) 1 while
-    the room is in it, else 0, None without such states.
+    lamps 1 000 lx over the total light while it is on, else 0, None without lamps.
     """
 
     sky: Floats32
@@ -89,7 +87,6 @@ class Features:
     direction: Floats
     bounced: Floats32 | None = None
     lamps: Floats | None = None
-    changed: Floats | None = None
 
     def __len__(self) -> int:
         """Return the number of hours."""
@@ -118,8 +115,7 @@ class Kernel:
     effect (docs/decisions.md). constant: a room that follows total light, direct sun, and sun
     on the ground; sky: distribution of the sky's light; facade: sun on the facades, smooth in
     the sun's direction; bounced: the sun's light in a coarse model of the room; lamps: electric
-    light, ten times the room's daylight at LAMP_LX outside; changed: effect of a state of the
-    room on its response to light.
+    light, ten times the room's daylight at LAMP_LX outside.
     """
 
     facades: Facades
@@ -129,7 +125,6 @@ class Kernel:
     facade: float = 1.0
     bounced: float = 5.0
     lamps: float = 100.0
-    changed: float = 1.0
 
     def __call__(self, a: Features, b: Features) -> Floats:
         """Return the covariance between each hour of `a` and each hour of `b`, [len(a), len(b)].
@@ -158,8 +153,6 @@ class Kernel:
         total += self.facade * product(_facade(a, self.facades), _facade(b, self.facades)) * near
         if a.bounced is not None and b.bounced is not None:
             total += self.bounced * product(a.bounced, b.bounced)
-        if a.changed is not None and b.changed is not None:
-            total *= 1.0 + self.changed * product(a.changed, b.changed)
         if a.lamps is not None and b.lamps is not None:
             total += self.lamps * product(a.lamps, b.lamps)
         return total

@@ -19,8 +19,9 @@ def stage_status(session: Session) -> JsonTable:
     """Return what each stage of a session has done and must still do; keys of `status --json`.
 
     session, name: folder and site. plan: set, slots (number), first_utc and last_utc (starts of
-    slots). capture: numbers of slots done, missed, aborted and owed (still to do), and of frames;
-    next: id of a slot or None; device_lost, clock_steps, suspends: numbers of events;
+    slots). capture: numbers of slots done, missed (also those whose time is over, or which are
+    before a captured one), aborted and owed (still to do), and of frames; next: id of a slot or
+    None; device_lost, clock_steps, suspends: numbers of events;
     damaged_lines: line numbers in the journal. irradiance: numbers of days and rows, last (date or
     None), cleaned (whether clean.csv exists). merge, pair: numbers of panoramas done and owed; pair
     also: of usable rows; pairs of which `PairsFile.outdated` are owed, and so are
@@ -43,30 +44,29 @@ def stage_status(session: Session) -> JsonTable:
     outdated = pairs.outdated
     paired = {p.stem for p in pictures if p.parts[:1] == (session.panoramas.name,)} - outdated
     usable = [row for row in pairs.usable if Path(row.panorama).stem not in outdated]
+    # A past slot, or one before a captured one, cannot be captured, but may be on a card.
+    to_do, first = slots_to_do(slots, recorded), datetime.now(UTC) - session.grace
+    ahead = [s for s in to_do if s.id > max(captured, default="") and s.t_utc > first]
     answer = {
         "session": str(session.root),
         "name": session.site_file().site.name,
         "plan": _plan_status(session, slots),
-        "capture": _capture_status(session, slots, recorded),
+        "capture": _capture_status(session, slots, recorded, ahead),
         "irradiance": _irradiance_status(session),
         "merge": {"done": len(merged - stale), "owed": len(captured - (merged - stale))},
         "pair": {"done": len(paired), "usable": len(usable), "owed": len(merged - paired)},
         **_result_status(session),
     }
-    # A past slot, or one before a captured one, cannot be captured, but may be on a card.
-    to_do, first = slots_to_do(slots, recorded), datetime.now(UTC) - session.grace
-    waits = any(s.id > max(captured, default="") and s.t_utc > first for s in to_do)
-    step = next_step(answer, waits)
-    if to_do and not waits:
+    step = next_step(answer)
+    if to_do and not ahead:
         step += f" (or import the card of {counted(len(to_do), 'earlier slot')}, if there is one)"
     return {**answer, "next_step": step}
 
 
-def next_step(answer: JsonTable, waits: bool = True) -> str:
+def next_step(answer: JsonTable) -> str:
     """Return the user's next step, mostly a command line.
 
-    answer: the table of `stage_status`, of which "next_step" is not read. waits: whether a slot
-    is still to be captured.
+    answer: the table of `stage_status`, of which "next_step" is not read.
     """
     root = answer["session"]
     capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
@@ -83,7 +83,7 @@ def next_step(answer: JsonTable, waits: bool = True) -> str:
         (merge["owed"], f"fieldlum merge {root}"),
         (needs_irradiance, f"fieldlum import {root} --irradiance FILE"),
         (pair["owed"], f"fieldlum pair {root}"),
-        (capture["owed"] and waits, next_capture),
+        (capture["owed"], next_capture),
         (nothing_captured, f"fieldlum plan {root} --replan, {why}"),
         (not models, f"fieldlum train {root}"),
         (not {*years["years"]} - {*years["outdated"]}, f"fieldlum predict {model} --weather FILE"),
@@ -150,19 +150,22 @@ def _plan_status(session: Session, slots: list[Slot]) -> JsonTable:
     return plan
 
 
-def _capture_status(session: Session, slots: list[Slot], recorded: SlotStates) -> JsonTable:
+def _capture_status(
+    session: Session, slots: list[Slot], recorded: SlotStates, ahead: list[Slot]
+) -> JsonTable:
     """Return the number of slots by outcome and of faults by kind, and the next slot.
 
-    recorded: the slots' states, from the journal.
+    recorded: the slots' states, from the journal; ahead: slots that can still be captured.
     """
     states = [recorded.state(slot.id) for slot in slots]
     outcomes = [state.outcome for state in states]
-    to_do = slots_to_do(slots, recorded)
+    counts = {outcome: outcomes.count(outcome) for outcome in SETTLED}
+    counts["missed"] += len(slots) - sum(counts.values()) - len(ahead)
     return {
-        **{outcome: outcomes.count(outcome) for outcome in SETTLED},
-        "owed": len(to_do),
+        **counts,
+        "owed": len(ahead),
         "frames": sum(len(state.frames) for state in states),
-        "next": to_do[0].id if to_do else None,
+        "next": ahead[0].id if ahead else None,
         "device_lost": recorded.counts.get("device-lost", 0),
         "clock_steps": recorded.counts.get("clock-step", 0),
         "suspends": recorded.counts.get("suspend", 0),

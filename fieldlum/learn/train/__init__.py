@@ -26,7 +26,7 @@ from fieldlum.learn.models import TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
 from fieldlum.learn.models import scores as scoring
 from fieldlum.learn.models.held_out_choice import CRITERIA, choice_weights, choose, trimmed_mean
 from fieldlum.learn.models.mirrors import Mirror, split_images
-from fieldlum.learn.models.training_data import Dataset, with_sky_view
+from fieldlum.learn.models.training_data import Dataset, in_usual_room, with_sky_view
 from fieldlum.learn.train.outliers import without_changes
 from fieldlum.room.fit.misplaced_patches import misplacement_of, warnings_of
 from fieldlum.session import check_writable, sha256
@@ -258,7 +258,7 @@ def fit_and_score(
     """
     patch = patch_mode(data, patch)
     captures = len(data)
-    data, mirrors = split_images(with_sky_view(data))
+    data, mirrors = split_images(in_usual_room(with_sky_view(data)))
     data, changed = without_changes(data, with_patch=patch != "none")
     misplacement = misplacement_of(data, patch)
     options: dict[str, Any] = {"patch": patch, "seed": seed, "budget_s": 0.5 * budget_s}
@@ -268,6 +268,7 @@ def fit_and_score(
     notes = [*notes_of(data, patch, model, trials), *left_out, *model_notes(fitted, data, patch)]
     notes += [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
     notes += [*changed, *held_out_warnings(fitted, data), *warnings_of(misplacement)]
+    year, untrusted = year_of(fitted, data, patch, seed), is_untrusted(fitted, data)
     return Result(
         fitted=fitted,
         trials=tuple(trials),
@@ -275,9 +276,9 @@ def fit_and_score(
         fit_s=spent.wall_s,
         data=data,
         notes=tuple(notes),
-        year=year_of(fitted, data, patch, seed),
+        year=year if year is None or not untrusted else replace(year, trusted_share=0.0),
         mirrors=mirrors,
-        untrusted=is_untrusted(fitted, data),
+        untrusted=untrusted,
     )
 
 

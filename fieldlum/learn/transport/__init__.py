@@ -72,11 +72,11 @@ class Transport:
     seen: mask [H, W], True at the P pixels that the lens saw; heading_deg: azimuth of the middle of
     the maps, clockwise from north; noise: relative variance of a captured value; kernel: covariance
     of hours; captured: features of the n captured hours; projector [n, r]: the r features of new
-    hours are kernel(new, captured) @ projector; states: lamps and blinds with which captures are
-    marked; open_sky: the window pixels; pixels: fitted values; uncertainty: of predictions;
-    patch_scale: fitted factor on all sun patches, None if patches are not used; physics: the coarse
-    room model, None without a box room; patch_light: how sun patches become features, None without
-    patches and with `physics`.
+    hours are kernel(new, captured) @ projector; states: lamps with which captures are marked;
+    open_sky: the window pixels; pixels: fitted values; uncertainty: of predictions; patch_scale:
+    fitted factor on all sun patches, None if patches are not used; physics: the coarse room model,
+    None without a box room; patch_light: how sun patches become features, None without patches and
+    with `physics`.
     """
 
     seen: Mask

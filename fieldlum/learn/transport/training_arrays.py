@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
-from fieldlum.core.room_states import LAMP_OFF, LAMP_WORD, cover_state, indicators, parse_state
+from fieldlum.core.room_states import LAMP_OFF, LAMP_WORD, indicators, parse_state
 from fieldlum.core.statistics import nan_percentiles
 from fieldlum.learn.models.held_out_choice import light_variance, weight_of_variance
 from fieldlum.learn.models.training_data import Dataset
@@ -31,24 +31,21 @@ CELL_WEIGHT, FLUX_WEIGHT = float(np.sqrt(0.1)), float(np.sqrt(0.2))
 
 @dataclass(frozen=True, slots=True)
 class StateColumns:
-    """The states of the room with which captures are marked, as columns of features.
+    """The lamps with which captures are marked, as columns of features.
 
     always: whether there is also a lamp that is on in every hour not marked lamp=off; lamps: states
-    that add light, such as "lamp=on"; changed: states that change the response to daylight, such as
-    "blind=half".
+    that add light, such as "lamp=on".
     """
 
     always: bool = False
     lamps: tuple[str, ...] = ()
-    changed: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, light: Light) -> StateColumns:
-        """Return columns for all states with which hours of `light` are marked."""
+        """Return columns for all lamps with which hours of `light` are marked."""
         parts = sorted({part for text in light.states or () for part in parse_state(text)})
-        lamps = tuple(part for part in parts if part.startswith(LAMP_WORD))
         # False: no lamp that is always on
-        return cls(False, lamps, tuple(part for part in parts if part not in lamps))
+        return cls(False, tuple(part for part in parts if part.startswith(LAMP_WORD)))
 
     def features(self, light: Light) -> Features:
         """Return the features of the n hours of `light`, with columns for these states.
@@ -56,8 +53,7 @@ class StateColumns:
         `lamps` [n, l] is, for each of l lamps, 1 000 lx divided by the hour's total light while the
         lamp is on, else 0: luminance is fitted as a share of the total light outside, of which a
         lamp's constant light is less by day. With `always` the first column is a lamp that is on in
-        all hours not marked lamp=off; then follow the states `self.lamps`. `changed` [n, m] is, for
-        each of m other states, 1 while the room is in it, else 0. Each is None without such
+        all hours not marked lamp=off; then follow the states `self.lamps`. It is None without
         columns.
         """
         features, states = light_features(light), light.states or ("",) * len(light)
@@ -66,8 +62,6 @@ class StateColumns:
             # the first column only with `self.always`
             on = np.hstack((always[:, : int(self.always)], indicators(states, self.lamps)))
             features = replace(features, lamps=on * (LAMP_LX / light.total_lx)[:, None])  # [n, l]
-        if self.changed:
-            features = replace(features, changed=indicators(states, self.changed))
         return features
 
 
@@ -228,11 +222,11 @@ class TrainingArrays:
 
     features: of `light`, as the kernel compares them; luminance: captured [n, P] cd/m2; patch:
     luminance of sun patches [n, P] cd/m2, None if they are not used; sky: light of the sky through
-    windows [n, P] cd/m2; filled: True for values without weight, because a blind may hide a patch
-    there or `merge` flagged them [n, P]; trust: weight of each value by irradiance, flags and
+    windows [n, P] cd/m2; filled: True for values without weight, because `merge` flagged
+    them [n, P]; trust: weight of each value by irradiance, flags and
     uncertainty, 0 to 1 [n, P]; weights: solid angles over their mean [P]; days: dates [n]; unsure:
     relative variance of the irradiance (`light_variance`) [n]; open_sky: the window pixels;
-    facades: walls that let light in; states: the room's marked states; computed: light of the
+    facades: walls that let light in; states: marked lamps; computed: light of the
     stated room, None if it is not used.
     """
 
@@ -285,12 +279,11 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
     open_sky = open_sky_from_captures(luminance, patch, light, rays)
     sky = np.zeros(luminance.shape, np.float32)
     sky[:, open_sky.index] = open_sky.luminance(light)
-    filled = _patches_unknown(data)[:, data.seen]
-    unsure = light_variance(data)
-    trust = np.where(filled, 0.0, weight_of_variance(unsure)[:, None])
+    filled, unsure = np.zeros(luminance.shape, bool), light_variance(data)
+    trust = np.tile(weight_of_variance(unsure)[:, None], luminance.shape[1])
     if data.counts is not None:
         counts = data.counts[:, data.seen]
-        trust, filled = trust * counts, filled | (counts == 0.0)
+        trust, filled = trust * counts, counts == 0.0
     states = StateColumns.of(light)
     return TrainingArrays(
         light=light,
@@ -307,16 +300,6 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
         facades=facades_of(data.setup.room),
         states=states,
     )
-
-
-def _patches_unknown(data: Dataset) -> Mask:
-    """Return a mask [n, H, W], True where a blind or a tint may hide a computed sun patch."""
-    out = np.zeros(data.luminance_cdm2.shape, bool)
-    if data.patch_cdm2 is None or data.light.states is None:
-        return out
-    rows = np.flatnonzero([bool(cover_state(text)) for text in data.light.states])
-    out[rows] = data.patch_cdm2[rows] > 0.02 * data.luminance_cdm2[rows]
-    return out
 
 
 def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:

@@ -223,14 +223,15 @@ def camera_changes(u_rel: Mapping[str, float], figure: Floats) -> list[tuple[Sou
     return [(of_share(f"{CAMERA} {name}", "B", u), u * figure) for name, u in u_rel.items()]
 
 
-def camera_share(budgets: Sequence[Budget]) -> float:
-    """Return the share (0 to 1) of the camera's calibration in the summed variance of `budgets`.
+def share_of(name: str, budgets: Sequence[Budget]) -> float:
+    """Return the share (0 to 1) of some sources in the summed variance of `budgets`.
 
-    The budgets must be of figures with the same unit. Without any variance the share is 0.
+    name: of a source, or what several names begin with. The budgets must be of figures with the
+    same unit. Without any variance the share is 0.
     """
     sources = [source for each in budgets for source in each.sources]
-    camera = sum(s.contribution**2 for s in sources if s.name.startswith(CAMERA))
-    return camera / max(sum(s.contribution**2 for s in sources), 1e-12)
+    some = sum(s.contribution**2 for s in sources if s.name.startswith(name))
+    return some / max(sum(s.contribution**2 for s in sources), 1e-12)
 
 
 def budgets_of_year(

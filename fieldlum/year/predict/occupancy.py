@@ -91,7 +91,10 @@ def read_occupancy(path: Path | None) -> Occupancy:
             periods += [(day, start, end) for day in _days(days)]
     if not periods:
         raise InputError(path, "no period in the file", EXPECTED, "write one row for each period")
-    return Occupancy("; ".join(" ".join(row) for _, row in table.rows), tuple(periods))
+    text = "; ".join(" ".join(row) for _, row in table.rows)
+    if any(moment.minute for _, *ends in periods for moment in ends if moment != time.max):
+        text += " (in hours whose middle, hh:30, is in it)"
+    return Occupancy(text, tuple(periods))
 
 
 def _time(cell: str) -> time:

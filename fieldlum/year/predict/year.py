@@ -547,13 +547,18 @@ def _notes(
             "Intervals of DGP and classes include it; capture more days and seasons"
         )
     if (wide := occupancy.wide_share or 0.0) > 0.05:
+        cause = "the sky view does not decide whether the sun's disc is seen; capture clear hours "
+        cause += "with the sun in a window, which also give the camera's heading"
+        of_disc, of_model = (
+            budget.share_of(source.name, budgets) for source in (budget.DISC_SEEN, budget.MODEL)
+        )
+        if of_model > of_disc:
+            cause = "mostly by the model's own error (budget.csv); capture more days and seasons"
         yield (
             f"In {100 * wide:.0f} % of the occupied daylight hours the 95 % interval of DGP is "
-            f"wider than {_WIDE_DGP:g} in a fully seen direction: often the sky view does not "
-            "decide whether the sun's disc is seen; capture clear hours with the sun in a window, "
-            "which also give the camera's heading"
+            f"wider than {_WIDE_DGP:g} in a fully seen direction: {cause}"
         )
-    if (share := budget.camera_share(budgets)) > 0.5:
+    if (share := budget.share_of(budget.CAMERA, budgets)) > 0.5:
         yield (
             f"{100 * share:.0f} % of the variance behind the classes' intervals is the camera's "
             "calibration (budget.csv): fieldlum calibrate makes them smaller"
