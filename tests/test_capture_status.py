@@ -35,6 +35,19 @@ def test_status_counts_from_files_alone(rig: Field) -> None:
 
 
 @pytest.mark.contract
+def test_a_slot_before_a_captured_one_is_missed(rig: Field) -> None:
+    """Lost slots of a past campaign were "to do", and one of them the next."""
+    rig.run()
+    slots = rig.session.slots()
+    lines = rig.session.journal.read_text().splitlines(keepends=True)
+    rest = [line for line in lines if slots[1].id not in line]
+    rig.session.journal.write_text("".join(rest))
+    capture = stage_status(rig.session)["capture"]
+    assert (capture["done"], capture["missed"], capture["owed"]) == (2, 1, 0)
+    assert capture["next"] is None
+
+
+@pytest.mark.contract
 def test_a_bracket_that_is_being_taken_is_not_to_be_merged(rig: Field) -> None:
     def stop(count: int) -> None:
         if count == 2:
@@ -176,4 +189,4 @@ def test_a_date_marks_all_captured_slots_of_the_local_day(rig: Field) -> None:
     assert shown.exit_code == 0, shown.output
     assert marks(rig.session) == dict.fromkeys(same, "blind=down")
     refused = CliRunner().invoke(main, [*arguments, "2027-01-01", "blind=down"])
-    assert refused.exit_code == 3 and "or its date" in refused.output
+    assert refused.exit_code == 3 and "or the date of captured slots" in refused.output

@@ -35,6 +35,21 @@ def test_toa5_and_csv_tell_the_same_moment(tmp_path: Path) -> None:
     assert len(plain.left_out) == 1 and plain.left_out[0].startswith("line 4")
 
 
+@pytest.mark.parametrize("title", ["", "Stasie;UCT dak;;\n", "Stasie: UCT dak\n"])
+@pytest.mark.parametrize("names", ["time;ghi_wm2;x;y", "Tyd (SAST);ghi_wm2;x;y"])
+def test_a_padded_title_and_a_foreign_time_column_are_read(
+    tmp_path: Path, title: str, names: str
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"{title}{names}\n20/03/2027 12:00;800,5;1;2\n20/03/2027 12:01;801;1;2\n")
+    asked = {"time": "Tyd (SAST)"} if "Tyd" in names else None
+    read = read_logger_file(path, timedelta(hours=2), asked)
+    assert read.samples[0].t_utc == datetime(2027, 3, 20, 10, tzinfo=UTC)
+    assert [sample.ghi_wm2 for sample in read.samples] == [800.5, 801.0]
+    with pytest.raises(InputError, match=r"no column Zeit.*--column time="):
+        read_logger_file(path, timedelta(hours=2), {"time": "Zeit"})
+
+
 @pytest.mark.parametrize(
     ("zone", "offset_min"),
     [("-08:00", -480), ("-0800", -480), ("+0530", 330), ("+530", 330), ("-8", -480), ("+10", 600)],

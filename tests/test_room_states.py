@@ -18,7 +18,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Slot
 from fieldlum.core.room_states import merged_state, parse_state
 from fieldlum.learn import models
-from fieldlum.learn.models.training_data import Dataset, load_pairs
+from fieldlum.learn.models.training_data import Dataset, in_usual_room, load_pairs
 from fieldlum.learn.transport import fit
 from fieldlum.session import Journal, Session, create_session, marks, read_journal
 
@@ -71,6 +71,21 @@ def test_a_marked_lamp_is_learnt_and_can_be_switched() -> None:
     test = lit(TEST, np.ones(len(TEST), bool))
     light = replace(TEST.light, states=("lamp=on",) * len(TEST))
     assert log_mse(model.predict(light, TEST.patch_cdm2).luminance_cdm2, test) < 1.2 * clean_mse()
+
+
+@pytest.mark.analytic
+def test_captures_of_a_marked_blind_are_not_learnt() -> None:
+    """A blind of two afternoons made DGP of the other hours five times as wrong."""
+    states = tuple("blind=half;lamp=on" if k < 4 else "" for k in range(len(TRAIN)))
+    marked = replace(TRAIN, light=replace(TRAIN.light, states=states))
+    usual = in_usual_room(marked)
+    assert len(usual) == len(TRAIN) - 4 and not any(usual.light.states or ())
+    assert "not learnt: 4 captures marked blind=half; the year" in usual.notes[-1]
+    lamps = replace(TRAIN, light=replace(TRAIN.light, states=("lamp=on",) * len(TRAIN)))
+    assert in_usual_room(lamps) is lamps and in_usual_room(TRAIN) is TRAIN
+    tinted = ("tint=full",) * (len(TRAIN) - 1) + ("tint=half",)
+    most = in_usual_room(replace(TRAIN, light=replace(TRAIN.light, states=tinted)))
+    assert len(most) == len(TRAIN) - 1 and most.notes[-1].endswith("in its tint=full")
 
 
 @pytest.mark.contract

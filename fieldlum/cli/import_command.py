@@ -33,14 +33,14 @@ def _utc_offset(text: str) -> float:
 
 
 def _column(text: str) -> tuple[str, str]:
-    """Return quantity and column name of a text such as "ghi_wm2=SlrW_Avg".
+    """Return quantity, or time, and column name of a text such as "ghi_wm2=SlrW_Avg".
 
     Raises ValueError for another text.
     """
     from fieldlum.session.day_files import QUANTITIES
 
     quantity, _, name = text.partition("=")
-    if quantity not in QUANTITIES or not name:
+    if quantity not in ("time", *QUANTITIES) or not name:
         remedy = "write, for example, ghi_wm2=SlrW_Avg; quantities are"
         raise ValueError(f"{text} is not QUANTITY=COLUMN: {remedy} {', '.join(QUANTITIES)}")
     return quantity, name
@@ -82,8 +82,8 @@ def command(
           fitted to the plan]
       --logger-utc-offset +HH:MM: Logger's clock minus UTC, if it differs from the camera's.
           [default: --utc-offset]
-      --column QUANTITY=NAME: Column of the logger for ghi_wm2, dhi_wm2 or dni_wm2, if its
-          name is unusual; the other columns are found by their names. A number counts
+      --column QUANTITY=NAME: Column of the logger for time, ghi_wm2, dhi_wm2 or dni_wm2, if
+          its name is unusual; the other columns are found by their names. A number counts
           columns of a file without names.
       --sensitivity QUANTITY=UV_PER_WM2: Sensitivity of the pyranometer, uV per W/m2, if the
           logger's column is a voltage.

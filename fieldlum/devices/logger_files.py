@@ -110,10 +110,10 @@ def read_logger_file(
     """Read the irradiance in a data logger's file: TOA5, csv, classic netCDF, or a day file.
 
     utc_offset : the logger's clock minus UTC, needed if the times have no zone; it never moves
-    times that are stated in UTC. columns : names of the columns of some quantities (ghi_wm2 ...),
-    or their numbers, from 1, in a csv without names; the others are found by their usual names: the
-    quantity itself, or names like SlrW and GHI where the file states their unit. sensitivities : of
-    pyranometers whose column is a voltage, uV per W/m2.
+    times that are stated in UTC. columns : names of the columns of time and some quantities
+    (ghi_wm2 ...), or their numbers, from 1, in a csv without names; the others are found by their
+    usual names: the quantity itself, or names like SlrW and GHI where the file states their unit.
+    sensitivities : of pyranometers whose column is a voltage, uV per W/m2.
 
     A damaged row is omitted, with a text in `left_out`. Raises InputError for a file that cannot be
     read or is of another kind, with decimal commas or more damaged than readable rows, for a column
@@ -123,11 +123,15 @@ def read_logger_file(
     first_bytes = b""
     with suppress(OSError), files.open_to_read(path) as file:
         first_bytes = file.read(len(_NETCDF))
-    options = (utc_offset, columns or {}, sensitivities or {})
+    asked = {**(columns or {})}
+    time_name = asked.pop("time", "")
+    options = (utc_offset, asked, sensitivities or {})
     if first_bytes == _NETCDF:
         logger_file = read_rows(path, _netcdf(path), *options)
     else:
         text = strict_csv.read_text(path, "a logger's file in csv or TOA5")
+        if time_name:
+            text = _with_time_name(path, text, time_name)
         if text.startswith(",".join(DAY_COLUMNS)):
             samples, damaged = read_day(path)
             logger_file = LoggerFile(tuple(samples), (f"{damaged} broken rows",) if damaged else ())
@@ -141,6 +145,20 @@ def read_logger_file(
         notes += (f"largest irradiance {largest_wm2:.3g} W/m2: a voltage needs --sensitivity",)
     ordered = tuple(sorted(logger_file.samples, key=lambda s: s.t_utc))
     return replace(logger_file, samples=ordered, notes=notes)
+
+
+def _with_time_name(path: Path, text: str, name: str) -> str:
+    """Return the text of a csv whose time column `name` is called time, with the zone in brackets.
+
+    Raises InputError without such a column.
+    """
+    marks, usual = f'[{_SEPARATORS}" ]', "".join(("time", *name.partition("(")[1:]))
+    pattern = rf"(?mi)(^|{marks}){re.escape(name)}(?={marks}|$)"
+    text, count = re.subn(pattern, rf"\1{usual}", text, count=1)
+    if not count:
+        remedy = "correct the name after --column time="
+        raise InputError(path, f"no column {name}", "a column of times", remedy)
+    return text
 
 
 def _check_readable(path: Path, logger_file: LoggerFile) -> None:
@@ -237,15 +255,17 @@ def _header(lines: Sequence[strict_csv.Line]) -> tuple[int, str]:
     """Return how many lines are above the column names, such as a title, and the cells' separator.
 
     The column names are the first line with the name of a time column, unless a line above it has
-    as many cells and so is a row of the table. Without such a line, the names are the first line.
+    as many cells, none of them empty, and so is a row of the table. Without such a line, the names
+    are the first line.
     """
     for above, (_, line) in enumerate(lines[:200]):
         mark = _mark_of(line)
         with suppress(ValueError):
             names = strict_csv.split_row(line, mark)
             if len(names) > 1 and {"stamp", "hour"} & set(map(_kind_of_time, names)):
-                counts_above = {line.count(mark) for _, line in lines[:above]}
-                return (0, ",") if line.count(mark) in counts_above else (above, mark)
+                rows_above = [text.split(mark) for _, text in lines[:above]]
+                is_row = any(len(row) == len(names) and all(row) for row in rows_above)
+                return (0, ",") if is_row else (above, mark)
     return 0, _mark_of(lines[0][1])
 
 
@@ -592,7 +612,7 @@ class _TimeColumns:
         candidates = [*([k] for k in stamps), *others] or unnamed
         if not candidates:
             columns = f"columns {', '.join(table.names)[:120]}"
-            remedy = "name it t_utc if it is in UTC, else time, and state --logger-utc-offset"
+            remedy = "name it: --column time=NAME; state --logger-utc-offset if it is not in UTC"
             raise InputError(path, columns, "a column t_utc or time", remedy)
         in_utc = {k for k, zone in enumerate(zones) if zone and not zone[1]}
         self._columns = min(candidates, key=in_utc.isdisjoint)  # the first in UTC, else the first

@@ -171,7 +171,7 @@ def judge(
         steadiness=light.steadiness,
         ok=not why,
         why=why or _joined(*doubts, light.caution),
-        doubtful=light.doubtful,
+        doubtful=bool(why) or light.doubtful,
     )
 
 
@@ -210,10 +210,10 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
         remove_scraps(folder)
     setup, log = session.site_file(), CleanIrradiance.read(session.clean_irradiance)
     check_night(session.clean_irradiance, log, setup.site)
-    left_out: dict[str, str] = {}
+    refused: dict[str, PairRow] = {}
     with suppress(InputError):
         stored = PairsFile.find(session.pairs)
-        left_out = {Path(row.panorama).stem: row.why for row in stored.refused}
+        refused = {Path(row.panorama).stem: row for row in stored.refused}
     places = sun.position([b.t_utc for b in brackets], setup.site)
     angles = np.stack([places.altitude_deg, places.azimuth_deg], axis=1).tolist()
     rows = [
@@ -221,8 +221,9 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
         for b, at in zip(brackets, angles, strict=True)
     ]
     for k, (bracket, row) in enumerate(zip(brackets, rows, strict=True)):
-        # `judge` has a reason for each row that it refuses
-        if row.ok and left_out.get(bracket.slot) in (row.why, _BY_HAND):
+        # `judge` refuses no row without a doubt
+        old = refused.get(bracket.slot) if row.ok else None
+        if old and (not old.doubtful or old.why in (row.why, _BY_HAND)):
             rows[k] = replace(row, ok=False, why=_BY_HAND)
     usable = [k for k, row in enumerate(rows) if row.ok]
     used = ([brackets[k] for k in usable], [rows[k] for k in usable])

@@ -175,7 +175,8 @@ def mark_slot(session: Session, slot: str, state: str) -> str:
     ids |= {path.stem for path in session.panoramas.glob("*.exr")}
     if slot not in ids:
         found = f"no slot {slot} in this session"
-        expected = f"a slot's id such as {min(ids, default='20270320T153000Z')} or its date"
+        expected = f"a slot's id such as {min(ids, default='20270320T153000Z')}, or the date of "
+        expected += "captured slots"
         raise InputError(session.root, found, expected, "choose a slot of plan.csv")
     remedy = "name the slot and its state, for example lamp=on"
     with input_errors(session.root, USAGE, remedy, ValueError):

@@ -184,7 +184,8 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         with suppress(ValueError):
             t_utc = parse_utc(cells["t_utc"])
         row = PairRow(t_utc, cells["panorama"], math.nan, math.nan, ok=False, line=line)
-        return replace(row, why=cells.get("why", ""), inputs=cells.get("inputs", ""))
+        row = replace(row, doubtful=cells.get("doubtful") == "1", inputs=cells.get("inputs", ""))
+        return replace(row, why=cells.get("why", ""))
     all_cells = {"doubtful": _was_doubtful(cells), **cells, "line": str(line)}
     row = read_row(PairRow, where, all_cells, _REMEDY)
     check_format(path, row.format, FORMAT)
