@@ -177,12 +177,38 @@ def test_the_bad_reading_is_named() -> None:
 def test_vignetting_is_extrapolated_little_and_with_a_caution() -> None:
     """Readings up to 70 % of the half angle gave a lens of this kind 33 % too much at its edge."""
 
-    def fitted(reach: float) -> vignette.VignettingFit:
-        r = np.linspace(0.0, reach, 24)
+    def fitted(reach: float, begin: float = 0.0) -> vignette.VignettingFit:
+        r = np.linspace(begin, reach, 24)
         value = 1.0 - 0.12 * r**2 - 0.38 * r**6
         return vignette.fit(vignette.Samples(r, value, np.full(24, 0.003), 5.6, 0, (Path("t"),)))
 
     with pytest.raises(NotEnoughDataError, match="up to 70 % of the half angle"):
         fitted(0.7)
-    assert "CAUTION: no reading beyond 90 % of the half angle" in fitted(0.9).choice.line
+    assert "CAUTION: readings from 0 to 90 % of the half angle" in fitted(0.9).choice.line
     assert "CAUTION" not in fitted(1.0).choice.line
+    assert "CAUTION: readings from 50 to 100 % of the half" in fitted(1.0, begin=0.5).choice.line
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize("factor", [0.3, 0.8, 1.3])
+@pytest.mark.parametrize("reach", [1.0, -1.0], ids=["one side", "two sides"])
+@pytest.mark.parametrize("n", [11, 15])
+def test_a_slip_on_the_axis_is_left_out(n: int, reach: float, factor: float) -> None:
+    """x0.3 of 11 or 15 readings was refused as correction factors, x1.3 bent the edge by 7 %."""
+    r = np.abs(np.linspace(min(reach, 0.0), 1.0, n if reach < 0 else n // 2 + 1))
+    truth = vignetting_at((1.0, 0.0, -0.1, 0.0, -0.15), r)
+    value = np.where(r < 1e-9, factor, 1.0) * truth
+    found = vignette.fit(vignette.Samples(r, value, np.full(len(r), 0.005), 5.6, 0, (Path("t"),)))
+    assert "neighbouring readings differ: one at 0 % of the half angle" in found.choice.line
+    assert np.abs(vignetting_at(found.coefficients, r) / truth - 1).max() < 0.001
+
+
+@pytest.mark.analytic
+def test_a_slip_among_few_readings_is_left_out() -> None:
+    """Readings 17 % of the half angle apart had no neighbours to be compared with."""
+    r = np.linspace(0.0, 1.0, 7)
+    truth = vignetting_at((1.0, 0.0, -0.1, 0.0, -0.15), r)
+    value = truth * np.where(np.arange(7) == 3, 0.8, 1.0)
+    found = vignette.fit(vignette.Samples(r, value, np.full(7, 0.005), 5.6, 0, (Path("t"),)))
+    assert "neighbouring readings differ: one at 50 % of the half angle" in found.choice.line
+    assert np.abs(vignetting_at(found.coefficients, r) / truth - 1).max() < 0.001
