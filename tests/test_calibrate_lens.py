@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calibration_frames import PROFILE
 
 from fieldlum.calibrate import lens
 from fieldlum.core.errors import InputError, NotEnoughDataError
@@ -142,12 +143,49 @@ def test_chessboard_corners_in_sensor_coordinates(tmp_path: Path) -> None:
     for row, column in np.ndindex(7, 10):
         if (row + column) % 2:
             board[60 + row * 50 : 110 + row * 50, 70 + column * 50 : 120 + column * 50] = 20
-    cv2.imwrite(str(tmp_path / "board.png"), board)
-    corners = lens.chessboard_corners(tmp_path / "board.png", 9, 6)
+    corners = lens.chessboard_corners(board, 9, 6)
     assert corners is not None and corners[0] == pytest.approx([120, 110], abs=0.1)
     assert corners[9] == pytest.approx([120, 160], abs=0.1)  # row by row
-    cv2.imwrite(str(tmp_path / "none.png"), np.full((200, 300), 120, np.uint8))
-    assert lens.chessboard_corners(tmp_path / "none.png", 9, 6) is None
+    assert lens.chessboard_corners(np.full((200, 300), 120, np.uint8), 9, 6) is None
+    cv2.imwrite(str(tmp_path / "board.png"), board)
+    with pytest.raises(InputError, match=r"board.png: a frame of 640 x 480 pixels; expected 240 x"):
+        lens.frame_picture(tmp_path / "board.png", PROFILE)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("place", ["241,20", "20,241", "-1,20", "3245,-2762"])
+def test_targets_off_the_sensor_are_refused(tmp_path: Path, place: str) -> None:
+    table = tmp_path / "targets.csv"
+    names = "x_px,y_px,azimuth_deg,altitude_deg\n"
+    table.write_text(names + f"0,240,1,2\n{place},3,4\n")
+    x, y = place.split(",")
+    finding = f"targets.csv: a target at x_px {x}, y_px {y}; expected one inside 240 x 240 pixels"
+    with pytest.raises(InputError, match=finding):
+        lens.from_table(table, PROFILE)
+    table.write_text(names + "0,240,1,2\n")
+    assert lens.from_table(table, PROFILE).x_px == [0.0]
+
+
+@pytest.mark.contract
+def test_targets_of_a_preview_are_cautioned() -> None:
+    """Pixels of half the size gave half the circle without a word."""
+    start = Lens((245.0, 238.0), 233.0, 190.0)
+    good = _targets(start, 24, 0.0)
+    for scale, percent in ((0.5, 73), (2.0, 147), (1.0, 0)):
+        found = lens.fit(replace(good, x_px=scale * good.x_px, y_px=scale * good.y_px), start)
+        text = f"differs by {percent} % of the radius from the profile's (245, 238 px, radius 233"
+        assert [text in warning for warning in found.warnings] == ([True] if percent else [])
+
+
+@pytest.mark.contract
+@pytest.mark.filterwarnings("error")
+def test_targets_on_one_ray_are_refused_without_a_warning_of_scipy() -> None:
+    good = _targets(Lens((245.0, 238.0), 233.0, 190.0), 24, 0.0)
+    off = replace(good, x_px=good.x_px + 3000.0, y_px=good.y_px - 3000.0)
+    assert lens.fit(off, Lens((242.0, 242.0), 236.0, 190.0)).warnings
+    one = replace(good, rays=np.repeat(good.rays[:1], 24, axis=0))
+    with pytest.raises(NotEnoughDataError, match="targets in different directions: 1; expected"):
+        lens.fit(one, Lens((242.0, 242.0), 236.0, 190.0))
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Fit a lens's mapping and pose to targets or chessboards, and find its image circle."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +17,8 @@ from fieldlum.calibrate.fit_charts import Chart, Place, grey_picture
 from fieldlum.core.arrays import Array, Mask, UInts8
 from fieldlum.core.errors import InputError
 from fieldlum.core.statistics import robust_sigma
-from fieldlum.optics.profiles import Lens
+from fieldlum.optics.linear_light import check_frame
+from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import direction, lens_pixels, lens_rays
 
 # The mappings that are tried, with the powers of the angle in a polynomial; held-out targets
@@ -31,6 +33,8 @@ MODELS = {
 # Shares of the radius. A target that misses by more than twice this is no reading error of a
 # pixel, and with a larger median no lens fits the targets. Chosen, not measured.
 MAX_MISS = 0.01
+# A centre or radius that differs by more contradicts the profile. Chosen.
+_MAX_CHANGE = 0.15
 _WANTED = "x right and y down in pixels, azimuth clockwise from the camera's heading, altitude up"
 
 Model = tuple[str, tuple[int, ...]]  # the mapping, and the powers of a polynomial
@@ -56,8 +60,8 @@ class LensFit(NamedTuple):
 
     widest_deg: largest angle of a target from the axis; the mapping extrapolates beyond it. choice:
     how the polynomial's order was chosen, with the rms distance of held-out targets or of
-    chessboard corners [px]. warnings: sentences about omitted targets and a pose far from the
-    profile's.
+    chessboard corners [px]. warnings: sentences about omitted targets, and a circle or a pose far
+    from the profile's.
     """
 
     lens: Lens
@@ -66,14 +70,20 @@ class LensFit(NamedTuple):
     warnings: tuple[str, ...] = ()
 
 
-def from_table(path: Path) -> Targets:
+def from_table(path: Path, profile: CameraProfile) -> Targets:
     """Read targets from a csv with the columns x_px, y_px, azimuth_deg and altitude_deg.
 
     azimuth_deg is clockwise from the camera's heading, altitude_deg upwards from the horizon; x_px
-    is to the right, y_px down. Raises InputError for an invalid csv.
+    is to the right, y_px down. Raises InputError for an invalid csv, and for a target outside the
+    frames of the profile's camera.
     """
     names = ("x_px", "y_px", "azimuth_deg", "altitude_deg")
     x, y, azimuth, altitude = fit_steps.columns(fit_steps.read_table(path, names), *names)
+    body = profile.camera
+    for k in np.flatnonzero((x < 0) | (x > body.width_px) | (y < 0) | (y > body.height_px)):
+        finding = f"a target at x_px {x[k]:g}, y_px {y[k]:g}"
+        expected = f"one inside {body.width_px} x {body.height_px} pixels, the size of {body.name}"
+        raise InputError(path, finding, expected, "read x_px and y_px in a frame of that size")
     return Targets(x_px=x, y_px=y, rays=direction(altitude, azimuth), source=path)
 
 
@@ -89,9 +99,10 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     Raises NotEnoughDataError for fewer than eight targets; InputError for directions that are
     mirrored, outside the lens's full angle, or fit no lens.
     """
-    n = len(targets.x_px)
+    n, directions = len(targets.x_px), np.unique(targets.rays.round(3), axis=0)
     # one more than the parameters of a lens with one free term: centre, radius, pose and the term
-    fit_steps.require(n, 8, "targets for a lens", "add targets all over the circle to the csv")
+    remedy = "add targets all over the circle to the csv"
+    fit_steps.require(len(directions), 8, "targets in different directions", remedy)
     start = _with_fitted_pose(targets, lens)
     # three targets for each parameter: centre, radius, pose, and all powers but the first
     models = {name: m for name, m in MODELS.items() if not m[1] or n >= 3 * (len(m[1]) + 5)}
@@ -196,7 +207,7 @@ def _check(lens: Lens, missed_px: Array, angle_rad: Array, targets: Targets) -> 
 def _warnings(
     targets: Targets, missed_px: Array, used: Mask, new: Lens, before: Lens
 ) -> tuple[str, ...]:
-    """Return warnings of omitted targets, and of a pose over 30 degrees from the profile's.
+    """Return warnings of omitted targets, and of a circle or pose far from the profile's.
 
     missed_px [n]: distances of the targets from the fit; used [n]: True for targets that were not
     omitted; new, before: the fitted lens and the profile's.
@@ -206,6 +217,13 @@ def _warnings(
         for i in np.flatnonzero(~used)
     ]
     texts = [f"left out because no lens explains them: {'; '.join(far)}"] if far else []
+    if (change := _change(_circle(new), _circle(before))) > _MAX_CHANGE:
+        x, y, radius = _circle(before)
+        texts.append(
+            f"centre or radius differs by {100 * change:.0f} % of the radius from the profile's "
+            f"({x:.0f}, {y:.0f} px, radius {radius:.0f} px): if that is right, state places in "
+            "complete frames, not in previews"
+        )
     turn = new.axes() @ before.axes().T
     turned_deg = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
     if turned_deg > 30.0:  # no camera is mounted that badly
@@ -242,7 +260,8 @@ def _rotation_between(directions: Array, true: Array) -> tuple[float, Any]:
     """
     off, turn = np.ones(len(directions)), Rotation.identity()
     for _ in range(10):
-        turn = Rotation.align_vectors(true, directions, weights=1.0 / np.maximum(off, 0.02))[0]
+        with warnings.catch_warnings(action="ignore"):  # of places that are all on one ray
+            turn = Rotation.align_vectors(true, directions, weights=1.0 / np.maximum(off, 0.02))[0]
         off = np.linalg.norm(true - turn.apply(directions), axis=1)
     return float(np.median(off)), turn
 
@@ -264,16 +283,25 @@ def _rounded(lens: Lens) -> Lens:
 # corners choose the mapping, then with that one.
 
 
-def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
+def frame_picture(path: Path, profile: CameraProfile) -> UInts8:
+    """Read a frame of the profile's camera as grey codes 0 to 255, [h, w].
+
+    Raises InputError for a file that cannot be read, or a frame of another size.
+    """
+    grey = grey_picture(path)
+    check_frame(path, grey.shape, "", profile)
+    return grey
+
+
+def chessboard_corners(picture: UInts8, columns: int, rows: int) -> Array | None:
     """Return a chessboard's inner corners, x and y [rows * columns, 2] px; None without a board.
 
     The corners are row by row, `columns` in each row. Both coordinates are 0.5 in the middle of the
-    first pixel. columns, rows: numbers of inner corners along the board's sides. Raises InputError
-    if the file cannot be read as a picture.
+    first pixel. picture: grey codes [h, w]; columns, rows: numbers of inner corners along the
+    board's sides.
     """
-    complete, corners = cv2.findChessboardCornersSB(
-        grey_picture(path), (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE
-    )
+    how = cv2.CALIB_CB_NORMALIZE_IMAGE
+    complete, corners = cv2.findChessboardCornersSB(picture, (columns, rows), flags=how)
     # OpenCV counts from a pixel's middle.
     return np.asarray(corners, float).reshape(-1, 2) + 0.5 if complete else None
 
@@ -337,9 +365,6 @@ def _board_pose(level: Lens, corners: Array, points: Array) -> Array:
 # ----------------------------------------------------------------------------------------------
 # image circle
 
-# of the profile's radius: a centre or radius that differs by more contradicts the profile; chosen
-_MAX_CHANGE = 0.15
-
 
 class Circle(NamedTuple):
     """The image circle of a fisheye: centre (x, y) and radius in px.
@@ -368,7 +393,7 @@ def circle(
     and for a circle whose centre or radius differs from where the search began by over 15 % of the
     radius.
     """
-    start = _bright_area(picture) if guessed else np.array([*lens.centre_px, lens.radius_px])
+    start = _bright_area(picture) if guessed else _circle(lens)
     fitted, edge, on_circle, off = start, np.empty((2, 0)), 0.0, np.empty(0)  # x, y, radius
 
     def misses(circle: Array) -> Array:
@@ -384,8 +409,7 @@ def circle(
         off = misses(fitted)
         # Evenly lit fields have a share of 1.0, six exposures of a real room at most 0.71.
         on_circle = (np.abs(off) < max(0.005 * fitted[2], 2.0)).sum() / rays
-    change = max(np.hypot(*(fitted - start)[:2]), abs(fitted[2] - start[2])) / start[2]
-    if on_circle < 0.9 or change > _MAX_CHANGE:
+    if on_circle < 0.9 or _change(fitted, start) > _MAX_CHANGE:
         x, y, radius = start
         whose = "the bright area" if guessed else "the profile's circle"
         finding = f"{100 * on_circle:.0f} % of the edge of a circle"
@@ -395,6 +419,20 @@ def circle(
         raise InputError(source, finding, expected, remedy)
     x, y, radius = fitted.tolist()
     return Circle((x, y), radius, float(np.hypot(robust_sigma(off, 0.0), 1.0)), edge)
+
+
+def _circle(lens: Lens) -> Array:
+    """Return centre x, y and radius of a lens's image circle [px], [3]."""
+    return np.array([*lens.centre_px, lens.radius_px])
+
+
+def _change(circle: Array, before: Array) -> float:
+    """Return how far a circle is from another, as a share of the other's radius.
+
+    circle, before: x, y and radius, [3]. It is the larger of the centre's and the radius's change.
+    """
+    x, y, radius = circle - before
+    return float(max(np.hypot(x, y), abs(radius)) / before[2])
 
 
 def _bright_area(picture: UInts8) -> Array:

@@ -178,11 +178,8 @@ def lens(
 def _by_circle(frame: Path, profile: CameraProfile, index: int) -> FittedPart:
     """Fit centre and radius of lens `index` to the edge of the image circle in one frame."""
     from fieldlum.calibrate import lens as lenses
-    from fieldlum.optics.linear_light import check_frame
 
-    start = profile.lens[index]
-    grey = lenses.grey_picture(frame)
-    check_frame(frame, grey.shape, "", profile)
+    start, grey = profile.lens[index], lenses.frame_picture(frame, profile)
     edge = lenses.circle(grey, start, frame, guessed=not profile.camera.date)
     (x, y), radius_px = edge.centre_px, edge.radius_px
     new = replace(start, centre_px=(round(x, 2), round(y, 2)), radius_px=round(radius_px, 2))
@@ -204,12 +201,13 @@ def _by_targets(
     start, notes = profile.lens[index], []
     if chessboard:
         columns, rows = map(int, chessboard)
-        boards = {path: lenses.chessboard_corners(path, columns, rows) for path in sources}
+        pictures = ((path, lenses.frame_picture(path, profile)) for path in sources)
+        boards = {p: lenses.chessboard_corners(grey, columns, rows) for p, grey in pictures}
         corners = [corners_px for corners_px in boards.values() if corners_px is not None]
         notes = [f"no {columns} x {rows} board found in {p}" for p in sources if boards[p] is None]
         fit, targets = lenses.fit_boards(corners, columns, rows, start)
     else:
-        targets = lenses.from_table(sources[0])
+        targets = lenses.from_table(sources[0], profile)
         fit = lenses.fit(targets, start)
     half_deg = start.full_angle_deg / 2
     if fit.widest_deg < 0.9 * half_deg:
