@@ -21,21 +21,31 @@ from places import SEATTLE
 
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import CameraSetup, Exposure, Panorama, Room, SiteFile, Slot, Window
+from fieldlum.core.records import (
+    CameraSetup,
+    Exposure,
+    Obstruction,
+    Panorama,
+    Room,
+    SiteFile,
+    Slot,
+    Window,
+)
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.projection import direction
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.box_room import build
 from fieldlum.room.scene.clicked import (
     Click,
+    ClickedRoom,
     ClickGrid,
     clicks_from_rows,
     read_clicks,
     room_from_clicks,
 )
 from fieldlum.room.scene.drawing import outline_pixels
-from fieldlum.session import Session, create_session
-from fieldlum.session.site_toml import load_site
+from fieldlum.session import Session, create_session, update_session
+from fieldlum.session.site_toml import load_site, site_table
 
 LENGTHS = ("width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m")
 WINDOW_LENGTHS = ("left_m", "width_m", "sill_m", "height_m")
@@ -158,6 +168,153 @@ def test_a_wrong_click_is_named_and_does_not_bend_the_room() -> None:
     assert found.room.width_m == pytest.approx(room.width_m, rel=0.03)
 
 
+def _plain_room(**changed: object) -> Room:
+    """6 x 8 x 3 m, camera at 2.5, 3, 1.4 m, and a window of 4 x 2 m in "south"."""
+    window = Window("south", 1.0, 4.0, 0.8, 2.0)
+    room = Room(width_m=6.0, depth_m=8.0, height_m=3.0, camera_x_m=2.5, camera_z_m=1.4)
+    return replace(room, **{"window": (window,), **changed})  # type: ignore[arg-type]
+
+
+GRID = ClickGrid(920, 1840, 180.0)
+
+
+def _with_bars(*bars: tuple[str, float, float, float]) -> ClickedRoom:
+    """The plain room from its corners, and clicks on bars or transoms at x, y, z [m]."""
+    clicks = _clicks(_plain_room(), GRID, 0.0, np.random.default_rng(0))
+    for line, (kind, *point) in enumerate(bars, start=31):
+        x, y = GRID.pixels((np.array(point) - (2.5, 3.0, 1.4))[None]).tolist()[0]
+        clicks.append(Click(kind, 1, x % 1840.0, y, line))  # type: ignore[arg-type]
+    return room_from_clicks(clicks, GRID, 1.4)
+
+
+# x of the window's south wall runs to the left, from 5 at the window's left end to 1
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("bars", "panes", "transom_m"),
+    [
+        ((), 1, 0.0),
+        ([("bar", 3.0, 0.0, 1.8)], 2, 0.0),
+        ([("bar", 3.0, 0.0, 2.8), ("bar", 3.02, 0.0, 0.8)], 2, 0.0),
+        ([("bar", 3.67, 0.0, 2.0), ("bar", 2.33, 0.0, 1.0), ("bar", 2.34, 0.0, 2.0)], 3, 0.0),
+        ([("bar", x, 0.0, 1.5) for x in (2.0, 3.0, 4.0, 4.01)], 4, 0.0),
+        ([("transom", 4.9, 0.0, 2.2), ("bar", 3.0, 0.0, 2.7), ("transom", 1.0, 0.0, 2.2)], 2, 2.2),
+    ],
+)
+def test_bars_and_transoms(bars: list, panes: int, transom_m: float) -> None:
+    found = _with_bars(*bars)
+    window = found.room.window[0]
+    assert window.panes == panes and window.transom_m == pytest.approx(transom_m, abs=0.01)
+    assert found.notes == () and found.misfit_px < 0.01
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("bars", "panes", "transom_m", "named"),
+    [
+        ([("transom", 3.0, 0.0, 1.2), ("transom", 3.0, 0.0, 2.4)], 1, 1.2, [32]),
+        ([("transom", 3.0, 0.0, 2.95)], 1, 0.0, [31]),
+        ([("transom", 3.0, 8.0, 1.8)], 1, 0.0, [31]),
+        ([("bar", 3.0, 8.0, 1.8)], 1, 0.0, [31]),
+        ([("bar", 5.8, 0.0, 1.8)], 1, 0.0, [31]),
+        ([("bar", 3.0, 0.0, 2.95)], 1, 0.0, [31]),
+        ([("bar", 6.0, 2.0, 1.8)], 1, 0.0, [31]),
+        ([("bar", 1.5, 0.0, 1.8)], 2, 0.0, [31]),
+        ([("bar", 1.5, 0.0, 1.8), ("bar", 4.5, 0.0, 1.8)], 3, 0.0, [31, 32]),
+    ],
+)
+def test_bars_that_the_box_has_not_are_named(
+    bars: list, panes: int, transom_m: float, named: list[int]
+) -> None:
+    """Two transoms, unequal panes, and bars outside of the window were taken without a word."""
+    found = _with_bars(*bars)
+    window = found.room.window[0]
+    assert window.panes == panes and window.transom_m == pytest.approx(transom_m, abs=0.01)
+    assert [f"click {line} is" in note for line, note in zip(named, found.notes, strict=True)]
+    assert all("equal panes and at most one transom" in note for note in found.notes)
+    assert found.misfit_px < 0.01
+
+
+def _clicked(true: Room, earlier: Room) -> ClickedRoom:
+    clicks = _clicks(true, GRID, 0.0, np.random.default_rng(0))
+    return room_from_clicks(clicks, GRID, true.camera_z_m, earlier)
+
+
+@pytest.mark.contract
+def test_a_window_keeps_the_glass_of_the_earlier_one() -> None:
+    """They became 0.88 and 0.05, and one pane."""
+    true = _plain_room()
+    told = replace(true.window[0], transmittance=0.45, frame_m=0.12, panes=3, transom_m=2.0)
+    earlier = replace(true, width_m=6.2, reflectance_walls=0.3, window=(told,))
+    found = _clicked(true, earlier)
+    assert found.notes == () and found.room.reflectance_walls == 0.3
+    assert found.room.width_m == pytest.approx(6.0, abs=1e-3)
+    window = found.room.window[0]
+    assert replace(window, left_m=1.0, width_m=4.0, sill_m=0.8, height_m=2.0) == told
+    above = replace(told, transom_m=2.9)
+    assert _clicked(true, replace(earlier, window=(above,))).room.window[0].transom_m == 0.0
+    assert _clicked(true, replace(earlier, window=())).room.window[0].transmittance == 0.88
+    radiance = Room(kind="radiance", file="room.rad")
+    assert _clicked(true, radiance) == _clicked(true, _plain_room())
+
+
+@pytest.mark.contract
+def test_windows_take_the_glass_of_the_one_that_is_seen_there() -> None:
+    """The clicked window 1 was the earlier window 2, in a wall with another name."""
+    east = Window("east", 2.0, 2.0, 0.8, 2.0, transmittance=0.3, frame_m=0.1)
+    dark = replace(_plain_room().window[0], transmittance=0.45)
+    earlier = _plain_room(window=(dark, east))
+    clicks = _clicks(earlier, GRID, 0.0, np.random.default_rng(0))
+    swapped = [replace(c, window=3 - c.window) if c.window else c for c in clicks]
+    found = room_from_clicks(swapped, GRID, 1.4, earlier)
+    assert found.room.wall_azimuth_deg == pytest.approx(90.0, abs=0.01)
+    assert [(w.wall, w.transmittance) for w in found.room.window] == [
+        ("south", 0.3),
+        ("west", 0.45),
+    ]
+    assert found.notes == ()
+    halves = [
+        replace(dark, left_m=x, width_m=1.9, transmittance=t) for x, t in ((1, 0.4), (3, 0.5))
+    ]
+    doubtful = _clicked(_plain_room(), replace(earlier, window=tuple(halves)))
+    note = "window 1: check transmittance and frame_m, of window"
+    assert doubtful.notes[0].startswith(note) and doubtful.notes[0].endswith("before")
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize("quarter", [0.0, 90.0, 180.0, 270.0])
+def test_obstructions_stay_where_the_camera_sees_them(quarter: float) -> None:
+    """They had kept the numbers of the old axes: furniture stood elsewhere."""
+    told = _plain_room(obstruction=(Obstruction(1.0, 4.0, 0.0, 1.2, 0.6, 0.75, 0.6),))
+    # the same room from the wall that is `quarter` further clockwise
+    x, y = {0.0: (2.5, 3.0), 90.0: (5.0, 2.5), 180.0: (3.5, 5.0), 270.0: (3.0, 3.5)}[quarter]
+    width, depth = (6.0, 8.0) if quarter % 180 == 0 else (8.0, 6.0)
+    azimuth = (180.0 + quarter) % 360.0
+    new = _plain_room(
+        width_m=width, depth_m=depth, camera_x_m=x, camera_y_m=y, wall_azimuth_deg=azimuth
+    )
+    found = _clicked(new, replace(told, wall_azimuth_deg=182.0))
+    corners = []
+    for scene in (build(found.room), build(told)):
+        kind = scene.of_kind("obstruction")[0]
+        ends = np.array([scene.low[kind], scene.high[kind]])
+        world = (ends - scene.camera_m) @ scene.turn
+        corners.append(np.concatenate([world.min(axis=0), world.max(axis=0)]))
+    assert corners[0] == pytest.approx(corners[1], abs=0.01)
+    assert found.room.obstruction[0].reflectance == 0.6
+
+
+@pytest.mark.contract
+def test_obstructions_of_walls_that_turned_are_named() -> None:
+    desk, house = Obstruction(1, 4, 0, 1.2, 0.6, 0.75), Obstruction(-20, -30, 0, 40, 8, 12)
+    told = _plain_room(obstruction=(desk, house), wall_azimuth_deg=150.0)
+    found = _clicked(_plain_room(), told)
+    assert found.room.obstruction == ()
+    assert [note.split(" m is left out")[0] for note in found.notes if "obstruction" in note] == [
+        "obstruction 1 at 1, 4",
+        "obstruction 2 at -20, -30",
+    ]
+
+
 @pytest.mark.property
 def test_the_outline_passes_through_the_corners() -> None:
     rng = np.random.default_rng(5)
@@ -278,6 +435,13 @@ def test_the_csv_writes_a_site_and_the_sessions_room_once(
     after = made.site_file().room
     assert after is not None and after.camera_z_m == 1.5
     assert after.width_m == pytest.approx(room.width_m * 1.5 / 1.4, rel=1e-3)
+    grey = replace(after.window[1], transmittance=0.45, frame_m=0.12)
+    told = replace(after, window=(replace(grey, wall="south"), grey), reflectance_floor=0.3)
+    update_session(made, {"setup": site_table(replace(made.site_file(), room=told))})
+    done = CliRunner().invoke(main, [*call, "--force"])
+    kept = made.site_file().room
+    assert kept is not None and kept.reflectance_floor == 0.3
+    assert [(w.transmittance, w.frame_m) for w in kept.window] == [(0.45, 0.12)] * 2
     path.write_text("kind,window,x_px,y_px\nfloor,,1,2\nroof,,1,2\n", encoding="utf-8")
     done = CliRunner().invoke(main, call)
     assert done.exit_code == 3 and "c.csv:3: kind = 'roof'" in done.stderr

@@ -133,7 +133,8 @@ def click_corners(
         return
     from fieldlum.room.scene.clicked import read_clicks, room_from_clicks
 
-    clicked = room_from_clicks(read_clicks(csv_path), picture.grid, height_m, where=str(csv_path))
+    clicks, earlier = read_clicks(csv_path), session.site_file().room
+    clicked = room_from_clicks(clicks, picture.grid, height_m, earlier, where=str(csv_path))
     table = click_room.clicked_table(clicked)
     path, is_written = click_room.save_room(session, clicked, replace_room=force)
     lines = [f"{row['name']:22} {row['value']:9.3f} +- {row['u']:.3f}" for row in table["rows"]]

@@ -24,8 +24,6 @@ from fieldlum.web.server import json_body, picture_routes, static_route
 from fieldlum.web.snapshot import scale_of
 
 _PATCH_HEIGHT_PX = 90  # of the map from which sun patches are outlined: 2 degrees a pixel; chosen
-# The fields of `Room` that clicks measure, except camera_z_m, which the user states.
-_CLICKED_FIELDS = ("width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m", "wall_azimuth_deg")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,16 +64,15 @@ def clicked_table(clicked: ClickedRoom) -> JsonTable:
     rows: {"name", "value", "u"} for each clicked length [m] and angle [deg], u: its standard
     uncertainty. Names are fields of `Room`, and for windows window.NUMBER.FIELD of `Window`, with
     numbers from 0, such as window.0.left_m. faces: compass direction of the wall "south"; walls:
-    the name in the room of each window's wall; misfit_px: rms over the clicks; notes: a sentence
-    for each click more than 3 px from the room.
+    the name in the room of each window's wall; misfit_px, notes: see `ClickedRoom`.
     """
-    room = clicked.room
-    rows = [(name, getattr(room, name)) for name in _CLICKED_FIELDS]
-    for number, window in enumerate(room.window):
-        names = ("left_m", "width_m", "sill_m", "height_m")
-        rows += [(f"window.{number}.{name}", getattr(window, name)) for name in names]
+    room, rows = clicked.room, []
+    for name, u in clicked.u.items():
+        *place, field = name.split(".")
+        owner = room.window[int(place[1])] if place else room
+        rows.append({"name": name, "value": getattr(owner, field), "u": u})
     return {
-        "rows": [{"name": name, "value": value, "u": clicked.u[name]} for name, value in rows],
+        "rows": rows,
         "faces": drawing.compass_text(room.wall_azimuth_deg),
         "walls": [window.wall for window in room.window],
         "misfit_px": clicked.misfit_px,
@@ -87,15 +84,10 @@ def save_room(session: Session, clicked: ClickedRoom, *, replace_room: bool) -> 
     """Write the session's scene/clicked.toml, a complete SITE.toml with the clicked room.
 
     Also write the room into session.toml if that has none, or if `replace_room`. Return the path of
-    clicked.toml, and whether the room was written into session.toml. If the session has a box room,
-    clicked.toml has its values of what clicks do not measure, such as reflectances. An earlier
-    clicked.toml is replaced. Raises InputError if session.toml cannot be read.
+    clicked.toml, and whether the room was written into session.toml. An earlier clicked.toml is
+    replaced. Raises InputError if session.toml cannot be read.
     """
-    setup = session.site_file()
-    room = clicked.room
-    if setup.room is not None and setup.room.kind == "box":
-        clicked_values = {name: getattr(room, name) for name in (*_CLICKED_FIELDS, "camera_z_m")}
-        room = replace(setup.room, window=room.window, **clicked_values)
+    setup, room = session.site_file(), clicked.room
     new_setup = replace(setup, room=room, camera=replace(setup.camera, height_m=room.camera_z_m))
     path = session.root / "scene" / "clicked.toml"
     lines = ["# Written by fieldlum scene click. Standard uncertainties, from the clicks' pixels:"]
@@ -152,19 +144,19 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
         static_route("/click.js", "click.js"),
         static_route("/page.css", "page.css"),
         Route("/room.json", describe),
-        _click_route("/solve.json", picture.grid, show),
-        _click_route("/save.json", picture.grid, save),
+        _click_route("/solve.json", picture, show),
+        _click_route("/save.json", picture, save),
         *picture_routes(session),
     ]
 
 
 def _click_route(
-    path: str, grid: ClickGrid, use: Callable[[ClickedRoom, bool], JsonTable]
+    path: str, picture: ClickedPicture, use: Callable[[ClickedRoom, bool], JsonTable]
 ) -> Route:
     """Return a route that answers posted clicks with `use` of their room.
 
-    use: is called with the room, and whether it may replace the session's room. An InputError
-    becomes a sentence on the page.
+    use: is called with the room, which has what clicks do not measure from the session's, and
+    whether it may replace that. An InputError becomes a sentence on the page.
     """
 
     def answer(body: Mapping[str, Any]) -> JsonTable:
@@ -175,7 +167,9 @@ def _click_route(
         KeyError, TypeError or ValueError for a missing or wrong key.
         """
         clicks, height_m = clicks_from_rows(body["clicks"]), float(body["camera_height_m"])
-        return use(room_from_clicks(clicks, grid, height_m), body.get("replace") is True)
+        earlier = picture.session.site_file().room
+        clicked = room_from_clicks(clicks, picture.grid, height_m, earlier)
+        return use(clicked, body.get("replace") is True)
 
     async def handle(request: Request) -> Response:
         """Answer a request with the result of `answer` as JSON, or {"error": sentence}.

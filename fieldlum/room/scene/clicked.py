@@ -7,7 +7,7 @@ window 1 becomes the room's "south" wall.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -26,6 +26,9 @@ CLICK_PX = 0.5
 _MISFIT_PX = 3.0
 _HORIZON_DEG = 0.5  # a corner nearer to the horizon is no corner of floor or ceiling; chosen
 _MIN_WINDOW_M = 0.02  # corners closer than this are one corner; chosen
+# walls that are turned by less are the same walls by a better compass; chosen
+_SAME_WALLS_DEG = 5.0
+_BARS = ("bar", "transom")  # kinds of clicks that mean no corner
 
 Kind = Literal["floor", "ceiling", "window", "bar", "transom"]
 KINDS: tuple[Kind, ...] = ("floor", "ceiling", "window", "bar", "transom")
@@ -124,8 +127,8 @@ class ClickedRoom:
 
     room : lengths [m]. u : standard uncertainty of each length or angle by name [m, deg]; names are
     fields of `Room`, such as width_m, and window.K.FIELD for fields of window K (from 0), such as
-    window.0.left_m. misfit_px : rms over the clicks on corners. notes : one sentence for each such
-    click more than 3 px from the fitted room.
+    window.0.left_m. misfit_px : rms over the clicks on corners. notes : one sentence for each click
+    more than 3 px from the fitted room, and for what of an earlier room is doubtful or left out.
     """
 
     room: Room
@@ -135,22 +138,28 @@ class ClickedRoom:
 
 
 def room_from_clicks(
-    clicks: Sequence[Click], grid: ClickGrid, camera_height_m: float, *, where: str = "clicks"
+    clicks: Sequence[Click],
+    grid: ClickGrid,
+    camera_height_m: float,
+    earlier: Room | None = None,
+    *,
+    where: str = "clicks",
 ) -> ClickedRoom:
     """Fit a box room to clicks on its corners in a panorama.
 
-    camera_height_m : of the lens above the floor, 0.05 to 50 m. where : the source that errors
-    name. A room needs three floor corners around the camera, one ceiling corner, and two opposite
-    corners of each window. The wall of the window with the lowest number becomes the "south" wall.
-    Raises InputError for fewer corners, for clicks that cannot be such corners, and for another
-    camera height.
+    camera_height_m : of the lens above the floor, 0.05 to 50 m. earlier : a room that, if it is a
+    box, states what clicks do not measure. where : the source that errors name. A room needs three
+    floor corners around the camera, one ceiling corner, and two opposite corners of each window.
+    The wall of the window with the lowest number becomes the "south" wall. Raises InputError for
+    fewer corners, for clicks that cannot be such corners, and for another camera height.
     """
     _check(clicks, grid, where)
     if not 0.05 <= camera_height_m <= 50.0:
         found = f"camera height {camera_height_m:g} m"
         raise InputError(where, found, "0.05 to 50 m", "measure the lens above the floor")
     start, corners = _start(clicks, grid, camera_height_m, where)
-    return _fit(start, corners, clicks, grid, camera_height_m)
+    clicked = _fit(start, corners, clicks, grid, camera_height_m)
+    return _with_known(clicked, earlier) if earlier and earlier.kind == "box" else clicked
 
 
 def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
@@ -194,7 +203,7 @@ class _Corner(NamedTuple):
 
     wall: of its window, "" for a corner of the room; place: index of the window from 0; ends: 0 or
     1 for the low or high end of x, y and z, or for a window of its width (from the left) and
-    height.
+    height; between 0 and 1 for its bars.
     """
 
     wall: str
@@ -270,12 +279,8 @@ def _spread(ground: Floats, azimuth_deg: float) -> float:
     Corners on one side of the camera, along x or y, belong to one wall.
     """
     xy = ground @ room_axes(azimuth_deg)[:2, :2].T
-    total = 0.0
-    for axis in (0, 1):
-        for side in (xy[:, axis] < 0, xy[:, axis] >= 0):
-            values = xy[side, axis]
-            total += float(((values - values.mean()) ** 2).sum()) if len(values) else 1e6
-    return total
+    parts = [x[side] for x in xy.T for side in (x < 0, x >= 0)]
+    return sum(float(((x - x.mean()) ** 2).sum()) if len(x) else 1e6 for x in parts)
 
 
 def _main_wall(ground: Floats, azimuth_deg: float, facing: Floats) -> float:
@@ -284,13 +289,11 @@ def _main_wall(ground: Floats, azimuth_deg: float, facing: Floats) -> float:
     ground: floor corners, east and north of the camera [n, 2] m; azimuth_deg: of one wall; facing:
     east and north [2].
     """
-
-    def wall(azimuth: float) -> str:
+    for azimuth in (azimuth_deg + np.arange(0.0, 360.0, 90.0)).tolist():
         turn = room_axes(azimuth)[:2, :2]
-        return _wall_of(turn @ facing, _distances(ground @ turn.T, "clicks"))
-
-    azimuths = [(azimuth_deg + quarter) % 360.0 for quarter in (0.0, 90.0, 180.0, 270.0)]
-    return next((azimuth for azimuth in azimuths if wall(azimuth) == "south"), azimuth_deg)
+        if _wall_of(turn @ facing, _distances(ground @ turn.T, "clicks")) == "south":
+            return azimuth % 360.0
+    return azimuth_deg
 
 
 def _distances(xy: Floats, where: str) -> list[float]:
@@ -358,60 +361,158 @@ def _fit(
     from scipy.optimize import least_squares
 
     used = [(click, c) for click, c in zip(clicks, corners, strict=True) if c is not None]
-    clicked = np.array([(click.x_px, click.y_px) for click, _ in used])  # [n, 2]
 
     def residuals_px(values: Floats) -> Floats:
-        points = np.array([corner.point(values, camera_height_m) for _, corner in used])
-        off = grid.pixels(points @ room_axes(values[0])) - clicked
-        # across the panorama's edge, the shorter way
-        off[:, 0] = (off[:, 0] + grid.width_px / 2) % grid.width_px - grid.width_px / 2
-        return off.ravel()
+        return _off_px(used, values, grid, camera_height_m).ravel()
 
     # a gross click must not bend the room: beyond some pixels its weight falls
     solution = least_squares(residuals_px, start, loss="soft_l1", f_scale=2.0)
-    off = residuals_px(solution.x).reshape(-1, 2)
     jacobian = np.asarray(solution.jac)
     u = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian))) * CLICK_PX
-    notes = [
-        f"{click.kind} click {click.line} is {distance:.1f} px from the fitted room"
-        for (click, _), distance in zip(used, np.hypot(off[:, 0], off[:, 1]), strict=True)
-        if distance > _MISFIT_PX
-    ]
     walls: dict[int, Any] = {corner.place: corner.wall for _, corner in used if corner.wall}
     names = [*_LENGTHS, *(f"window.{k}.{name}" for k in sorted(walls) for name in _WINDOW_LENGTHS)]
-    room = _room(solution.x, walls, clicks, grid, camera_height_m)
-    u_by_name = dict(zip(names, u.tolist(), strict=True))
-    return ClickedRoom(room, u_by_name, float(np.sqrt((off**2).mean())), tuple(notes))
+    rounded = [round(value, 4) for value in solution.x.tolist()]
+    windows, placed = [], [*used]
+    for place, number in enumerate(_numbers(clicks)):
+        own = [click for click in clicks if click.window == number and click.kind in _BARS]
+        middle = _Corner(walls[place], place, (0.5, 0.5))
+        panes, transom, bars = _bars(middle, own, solution.x, grid, camera_height_m)
+        lengths = dict(zip(_WINDOW_LENGTHS, rounded[6 + 4 * place :][:4], strict=True))
+        lengths |= {name: max(lengths[name], 0.0) for name in ("left_m", "sill_m")}
+        above_m = round(lengths["sill_m"] + transom * lengths["height_m"], 4) if transom else 0.0
+        windows.append(Window(walls[place], **lengths, panes=panes, transom_m=above_m))
+        placed += bars
+    off_px = np.hypot(*_off_px(placed, solution.x, grid, camera_height_m).T)
+    text = ", where windows have equal panes and at most one transom"
+    notes = [
+        f"{click.kind} click {click.line} is {distance:.1f} px from the fitted room"
+        f"{text if click.kind in _BARS else ''}"
+        for (click, _), distance in zip(placed, off_px, strict=True)
+        if distance > _MISFIT_PX
+    ]
+    lengths = dict(zip(_LENGTHS, [rounded[0] % 360.0, *rounded[1:6]], strict=True))
+    room = Room(**lengths, camera_z_m=camera_height_m, window=tuple(windows))
+    misfit_px = float(np.sqrt((off_px[: len(used)] ** 2).mean() / 2.0))  # of x and y
+    return ClickedRoom(room, dict(zip(names, u.tolist(), strict=True)), misfit_px, tuple(notes))
 
 
 _LENGTHS = ("wall_azimuth_deg", "width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m")
 _WINDOW_LENGTHS = ("left_m", "width_m", "sill_m", "height_m")
+_Placed = tuple[Click, _Corner]  # a click, and where the fitted room has what it means
 
 
-def _room(
-    values: Floats,
-    walls: dict[int, Any],
-    clicks: Sequence[Click],
-    grid: ClickGrid,
-    camera_height_m: float,
-) -> Room:
-    """Return the room of fitted values, with transoms and panes by the clicks on transoms and bars.
+def _off_px(
+    placed: Sequence[_Placed], values: Floats, grid: ClickGrid, camera_height_m: float
+) -> Floats:
+    """Return how far n corners are to the right of their clicks, and below them, [n, 2] px.
 
-    values [6 + 4 w]: azimuth of the "south" wall [deg], then width, depth, height, camera x, camera
-    y, and left, width, sill, height of each of w windows [m]; walls: name of each window's wall, by
-    its index from 0; grid: from pixels to directions; camera_height_m: above the floor.
+    values, camera_height_m: see `_Corner.point`; grid: from pixels to directions.
     """
-    rounded = [round(value, 4) for value in values.tolist()]
-    axes, camera = room_axes(values[0]), (values[4], values[5], camera_height_m)
-    windows = []
-    for place, number in enumerate(_numbers(clicks)):
-        own = [click for click in clicks if click.window == number]
-        lengths = dict(zip(_WINDOW_LENGTHS, rounded[6 + 4 * place :][:4], strict=True))
-        lengths |= {name: max(lengths[name], 0.0) for name in ("left_m", "sill_m")}
-        rays = [grid.ray(click) @ axes.T for click in own if click.kind == "transom"]
-        heights = [_on_wall(ray, walls[place], values[1:3], camera)[1] for ray in rays]
-        transom_m = round(float(np.mean(heights)), 4) if heights else 0.0
-        panes = 1 + sum(click.kind == "bar" for click in own)
-        windows.append(Window(walls[place], **lengths, panes=panes, transom_m=transom_m))
-    lengths = dict(zip(_LENGTHS, [rounded[0] % 360.0, *rounded[1:6]], strict=True))
-    return Room(**lengths, camera_z_m=camera_height_m, window=tuple(windows))
+    points = np.array([corner.point(values, camera_height_m) for _, corner in placed])
+    off = grid.pixels(points @ room_axes(values[0])) - [(c.x_px, c.y_px) for c, _ in placed]
+    # across the panorama's edge, the shorter way
+    off[:, 0] = (off[:, 0] + grid.width_px / 2) % grid.width_px - grid.width_px / 2
+    return off
+
+
+def _bars(
+    window: _Corner, clicks: Sequence[Click], values: Floats, grid: ClickGrid, height_m: float
+) -> tuple[int, float, list[_Placed]]:
+    """Return a window's number of panes, its transom, and the places of clicks on its bars.
+
+    The transom is a share of the window's height, 0 for none. Panes are equal: of the numbers for
+    which each bar has a click, that one is taken whose bars are nearest to the clicks. Of several
+    transoms the middle one is taken. Clicks over 3 px outside of the window, or on its frame, count
+    as none. window: any place in it; values, height_m: see `_Corner.point`, of the camera.
+    """
+    if not clicks:
+        return 1, 0.0, []
+    axes, camera = room_axes(values[0]), (values[4], values[5], height_m)
+    left, width, sill, height = values[6 + 4 * window.place :][:4]
+    rays = [grid.ray(click) @ axes.T for click in clicks]
+    at = np.array([_on_wall(ray, window.wall, values[1:3], camera) for ray in rays])  # [n, 2]
+    ends = np.clip((at - (left, sill)) / (width, height), 0.0, 1.0)
+
+    def placed() -> list[_Placed]:
+        corners = [window._replace(ends=tuple(end)) for end in ends.tolist()]
+        return list(zip(clicks, corners, strict=True))
+
+    is_bar = np.array([click.kind == "bar" for click in clicks])
+    across = np.where(is_bar, *ends.T)  # a bar's place along the window, a transom's in height
+    near = np.hypot(*_off_px(placed(), values, grid, height_m).T) <= _MISFIT_PX
+    bars, transoms = (kind & near & (across > 0) & (across < 1) for kind in (is_bar, ~is_bar))
+
+    def nearest(panes: int) -> Floats:
+        """Return the place of the bar between equal panes that is nearest to each click."""
+        return np.clip(np.rint(across[bars] * panes), 1, panes - 1) / panes
+
+    def misfit(panes: int) -> tuple[bool, float]:
+        """Return whether a bar has no click, and the largest distance of a click from a bar."""
+        off = np.abs(across[bars] - nearest(panes))
+        return len(np.unique(nearest(panes))) < panes - 1, float(off.max())
+
+    panes = min(range(2, int(bars.sum()) + 2), key=misfit, default=1)
+    ends[bars, 0] = nearest(panes)
+    heights = np.sort(across[transoms])
+    ends[transoms, 1] = transom = float(heights[(len(heights) - 1) // 2]) if len(heights) else 0.0
+    return panes, transom, placed()
+
+
+# ----------------------------------------------------------------------------------------------
+# earlier room
+
+
+_BOX = ("x_m", "y_m", "z_m", "width_m", "depth_m", "height_m")  # fields of `Obstruction`
+
+
+def _with_known(clicked: ClickedRoom, earlier: Room) -> ClickedRoom:
+    """Return a clicked room with what clicks do not measure, such as reflectances, from a box room.
+
+    A window has transmittance and frame_m of the earlier window that is seen nearest to it, and its
+    panes and transom_m too if no bar was clicked. A note names it if another earlier window is
+    about as near, or none is near. Obstructions stay where they are from the camera, parallel to
+    the walls; if the walls are not turned by quarters, they are left out, and a note names them.
+    """
+    room, notes, windows = clicked.room, [*clicked.notes], [*clicked.room.window]
+    glass = [(window.transmittance, window.frame_m) for window in earlier.window]
+    for k, window in enumerate(windows if glass else ()):
+        off_rad = np.arccos(np.clip(_window_rays(earlier) @ _window_rays(room)[k], -1.0, 1.0))
+        near = int(off_rad.argmin())
+        was = earlier.window[near]
+        known = {"transmittance": was.transmittance, "frame_m": was.frame_m}
+        if 2 * off_rad[near] > off_rad[[other != glass[near] for other in glass]].min(initial=1.0):
+            notes.append(
+                f"window {k + 1}: check {' and '.join(known)}, of window {near + 1} before"
+            )
+        if (window.panes, window.transom_m) == (1, 0.0):
+            is_inside = 0.0 < was.transom_m - window.sill_m < window.height_m
+            known |= {"panes": was.panes, "transom_m": was.transom_m if is_inside else 0.0}
+        windows[k] = replace(window, **known)
+    turn = room_axes(room.wall_azimuth_deg) @ room_axes(earlier.wall_azimuth_deg).T
+    quarters, boxes = np.rint(turn), []
+    is_turned = np.abs(turn - quarters).max() > np.sin(np.radians(_SAME_WALLS_DEG))
+    camera, new_camera = (np.array([r.camera_x_m, r.camera_y_m, 0.0]) for r in (earlier, room))
+    for k, box in enumerate(earlier.obstruction, start=1):
+        low, size = np.array([getattr(box, name) for name in _BOX]).reshape(2, 3)
+        if is_turned:
+            at = f"{box.x_m:g}, {box.y_m:g} m"
+            notes.append(f"obstruction {k} at {at} is left out, because the walls have turned")
+            continue
+        ends = ([low, low + size] - camera) @ quarters.T + new_camera
+        new = np.concatenate([ends.min(axis=0), np.ptp(ends, axis=0)]).round(4).tolist()
+        boxes.append(replace(box, **dict(zip(_BOX, new, strict=True))))
+    measured = {name: getattr(room, name) for name in (*_LENGTHS, "camera_z_m")}
+    new_room = replace(earlier, **measured, window=tuple(windows), obstruction=tuple(boxes))
+    return replace(clicked, room=new_room, notes=tuple(notes))
+
+
+def _window_rays(room: Room) -> Floats:
+    """Return the directions from the camera to the middles of a room's n windows, [n, 3].
+
+    They are unit vectors: x east, y north, z up.
+    """
+    owners = [(room, _LENGTHS), *((window, _WINDOW_LENGTHS) for window in room.window)]
+    values = np.array([getattr(owner, name) for owner, names in owners for name in names])
+    middles = [_Corner(window.wall, k, (0.5, 0.5)) for k, window in enumerate(room.window)]
+    points = np.array([middle.point(values, room.camera_z_m) for middle in middles])
+    return points / np.linalg.norm(points, axis=1, keepdims=True) @ room_axes(values[0])
