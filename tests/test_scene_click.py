@@ -275,7 +275,9 @@ def test_windows_take_the_glass_of_the_one_that_is_seen_there() -> None:
     halves = [
         replace(dark, left_m=x, width_m=1.9, transmittance=t) for x, t in ((1, 0.4), (3, 0.5))
     ]
+    halves = [replace(half, panes=3) for half in halves]
     doubtful = _clicked(_plain_room(), replace(earlier, window=tuple(halves)))
+    assert doubtful.room.window[0].panes == 1
     note = "window 1: check transmittance and frame_m, of window"
     assert doubtful.notes[0].startswith(note) and doubtful.notes[0].endswith("before")
 

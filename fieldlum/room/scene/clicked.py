@@ -469,9 +469,10 @@ def _with_known(clicked: ClickedRoom, earlier: Room) -> ClickedRoom:
     """Return a clicked room with what clicks do not measure, such as reflectances, from a box room.
 
     A window has transmittance and frame_m of the earlier window that is seen nearest to it, and its
-    panes and transom_m too if no bar was clicked. A note names it if another earlier window is
-    about as near, or none is near. Obstructions stay where they are from the camera, parallel to
-    the walls; if the walls are not turned by quarters, they are left out, and a note names them.
+    panes and transom_m too if no bar was clicked. If another earlier window is about as near, or
+    none is near, it has no bars of an earlier one, and a note names it. Obstructions stay where
+    they are from the camera, parallel to the walls; if the walls are not turned by quarters, they
+    are left out, and a note names them.
     """
     room, notes, windows = clicked.room, [*clicked.notes], [*clicked.room.window]
     glass = [(window.transmittance, window.frame_m) for window in earlier.window]
@@ -484,7 +485,7 @@ def _with_known(clicked: ClickedRoom, earlier: Room) -> ClickedRoom:
             notes.append(
                 f"window {k + 1}: check {' and '.join(known)}, of window {near + 1} before"
             )
-        if (window.panes, window.transom_m) == (1, 0.0):
+        elif (window.panes, window.transom_m) == (1, 0.0):  # no bar was clicked
             is_inside = 0.0 < was.transom_m - window.sill_m < window.height_m
             known |= {"panes": was.panes, "transom_m": was.transom_m if is_inside else 0.0}
         windows[k] = replace(window, **known)
