@@ -123,7 +123,7 @@ def test_a_wrong_north_scores_worse_with_the_disc_of_the_room() -> None:
 def test_without_a_sky_view_the_stated_room_decides_with_the_doubt_of_its_edges() -> None:
     """Draws of the fallback hold the room itself, doubt its edges, and are open without a room."""
     room = disc_lx(None, SETUP, LIGHT)
-    drawn = drawn_discs_lx(None, SETUP, LIGHT, np.random.default_rng(1), 16)
+    drawn = drawn_discs_lx(None, SETUP, LIGHT, np.random.default_rng(1))
     inside = (room >= drawn.min(axis=0) - 1.0) & (room <= drawn.max(axis=0) + 1.0)
     assert inside.mean() > 0.95
     assert (np.ptp(drawn, axis=0) > 0.5 * room)[room > 0].mean() > 0.1

@@ -19,6 +19,7 @@ from fieldlum.optics.profiles import shipped
 from fieldlum.pair import BracketInterval, write_patches
 from fieldlum.room import simulate
 from fieldlum.session import Session, create_session
+from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at
@@ -91,7 +92,8 @@ def paired_patch(folder: Path) -> Path:
     picture = folder / "p.exr"
     blank = np.ones((HEIGHT, 2 * HEIGHT), np.float32)
     write_panorama(picture, Panorama(blank, OFFICE.camera.heading_deg, t_utc=LOW))
-    brackets = [BracketInterval(slot_id(LOW), picture, LOW, LOW)]
+    capture = CaptureFile(slot=slot_id(LOW), frames=(), t_open_utc=LOW, t_close_utc=LOW)
+    brackets = [BracketInterval(capture.slot, picture, capture)]
     write_patches(session, OFFICE, brackets, low_light(), False, LOCAL)
     return session.sunpatch(slot_id(LOW))
 

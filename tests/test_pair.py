@@ -43,7 +43,7 @@ from fieldlum.pair.bracket_irradiance import irradiance_during
 from fieldlum.pair.sun_strength import completed_sun, measured_sun
 from fieldlum.report.sections import warnings_of
 from fieldlum.session import DayFiles, Session, create_session, mark_slot
-from fieldlum.session.files.capture_json import Frame, frame_fields
+from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import (
     PAIR_COLUMNS,
@@ -149,6 +149,12 @@ def test_unsteady_light_is_cautioned_then_refused() -> None:
         assert light.doubtful
 
 
+def at_noon() -> pair.BracketInterval:
+    """A bracket of one moment."""
+    capture = CaptureFile(slot="x", frames=(), t_open_utc=NOON, t_close_utc=NOON)
+    return pair.BracketInterval("x", Path("x.exr"), capture)
+
+
 @pytest.mark.contract
 @pytest.mark.parametrize(
     ("flag", "doubtful"),
@@ -158,7 +164,7 @@ def test_marks_make_light_doubtful_but_a_low_sun_does_not(flag: str, doubtful: b
     steady = log(np.arange(-20.0, 20.0), np.full(40, 400.0))
     marked = replace(steady, flags=np.array([flag] * 40, object))
     light = irradiance_during(marked, NOON, NOON + timedelta(seconds=30))
-    row = pair.judge(pair.BracketInterval("x", Path("x.exr"), NOON, NOON), light, 30.0, 178.0)
+    row = pair.judge(at_noon(), light, 30.0, 178.0)
     assert (light.doubtful, row.ok, row.doubtful) == (doubtful, True, doubtful)
 
 
@@ -168,7 +174,7 @@ def test_a_map_of_which_most_is_clipped_is_not_used() -> None:
     light = irradiance_during(
         log(np.arange(-20.0, 20.0), np.full(40, 400.0)), NOON, NOON + timedelta(seconds=30)
     )
-    window = pair.BracketInterval("x", Path("x.exr"), NOON, NOON, clipped_percent=12.0)
+    window = replace(at_noon(), clipped_percent=12.0)
     for bracket, used in ((window, True), (replace(window, clipped_percent=100.0), False)):
         row = pair.judge(bracket, light, 30.0, 178.0)
         assert row.ok is used and ("clipped in every frame" in row.why) is not used
@@ -201,8 +207,7 @@ def test_a_dead_instrument_and_kilowatts_are_refused_by_day_alone() -> None:
     light = irradiance_during(
         log(np.arange(-20.0, 20.0), np.full(40, 0.4)), NOON, NOON + timedelta(seconds=30)
     )
-    taken = pair.BracketInterval("x", Path("x.exr"), NOON, NOON)
-    assert "kW/m2" in pair.judge(taken, light, 19.0, 178.0).why
+    assert "kW/m2" in pair.judge(at_noon(), light, 19.0, 178.0).why
 
 
 @pytest.mark.contract

@@ -29,6 +29,7 @@ from fieldlum.optics.profiles import save_profile, shipped
 from fieldlum.pair import BracketInterval, write_patches
 from fieldlum.room import simulate
 from fieldlum.session import Session, create_session
+from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky.daylight import light_at
 from fieldlum.year import predict
@@ -111,7 +112,12 @@ def simulated_year(root: Path, scheduler: Scheduler) -> dict[str, bytes]:
     simulate.run(session, weather, height=8, quality="draft", scheduler=scheduler, workers=1)
     rendered = [s for s in slots if session.truth_panorama(s.id).is_file()]
     brackets = [
-        BracketInterval(s.id, session.truth_panorama(s.id), s.t_utc, s.t_utc) for s in rendered
+        BracketInterval(
+            s.id,
+            session.truth_panorama(s.id),
+            CaptureFile(slot=s.id, frames=(), t_open_utc=s.t_utc, t_close_utc=s.t_utc),
+        )
+        for s in rendered
     ]
     light = light_at([s.t_utc for s in rendered], setup.site, np.array(500.0), np.array(100.0))
     write_patches(session, setup, brackets, light, True, scheduler)

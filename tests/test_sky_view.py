@@ -524,9 +524,9 @@ def test_the_disc_is_a_mean_and_the_heading_doubts_its_edge() -> None:
         got = disc_of_hours(view, light).best_lx / light.direct_lx
         assert got == pytest.approx(share, abs=0.06)
     near = _at(view, 100, 108)
-    drawn = drawn_shares(view, near, np.random.default_rng(0), 64)[:, 0]
+    drawn = drawn_shares(view, near, np.random.default_rng(0))[:, 0]
     assert (drawn == 0.0).any() and (drawn > 0.79).any()
-    sure = drawn_shares(_edge_view(0.0), near, np.random.default_rng(0), 64)[:, 0]
+    sure = drawn_shares(_edge_view(0.0), near, np.random.default_rng(0))[:, 0]
     assert (sure > 0.75).all()
     weak = Light(
         t_utc=near.t_utc,

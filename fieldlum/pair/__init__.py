@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from datetime import datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -44,32 +44,25 @@ _CLIPPED_PERCENT = 50.0  # more of the view says little about the room; chosen
 
 @dataclass(frozen=True, slots=True)
 class BracketInterval:
-    """One merged bracket: its panorama, its times, and what merge recorded about it.
+    """One merged bracket: its panorama, its capture, and what merge recorded about it.
 
-    slot: its id. t_open_utc, t_close_utc: start of the first and end of the last frame. meter_lx:
-    vertical illuminance by a meter at the lens, None without one. complete: whether no frame is
-    missing or unreadable. frames: sha256 of each frame. double_of: id of another slot with the same
-    frames, or "". sun_u_percent: relative standard uncertainty of the sun's illuminance because few
-    sensor pixels are on the disc. clipped_percent: share of the view that is clipped in every
-    frame. camera: model, serial number and lens of the camera, where it reports them.
+    slot: its id. capture: its times, and the illuminance by a meter at the lens. complete: whether
+    no frame is missing or unreadable. frames: sha256 of each frame. double_of: id of another slot
+    with the same frames, or "". sun_u_percent: relative standard uncertainty of the sun's
+    illuminance because few sensor pixels are on the disc. clipped_percent: share of the view that
+    is clipped in every frame. camera: model, serial number and lens of the camera, where it reports
+    them.
     """
 
     slot: str
     panorama: Path
-    t_open_utc: datetime
-    t_close_utc: datetime
-    meter_lx: float | None = None
+    capture: CaptureFile
     complete: bool = True
     frames: frozenset[str] = frozenset()
     double_of: str = ""
     sun_u_percent: float = 0.0
     clipped_percent: float = 0.0
     camera: str = ""
-
-    @property
-    def t_utc(self) -> datetime:
-        """Middle of the bracket."""
-        return self.t_open_utc + (self.t_close_utc - self.t_open_utc) / 2
 
 
 def merged_brackets(session: Session) -> list[BracketInterval]:
@@ -118,9 +111,7 @@ def _bracket_of(session: Session, path: Path) -> BracketInterval:
     return BracketInterval(
         slot,
         path,
-        t_open_utc=capture.t_open_utc,
-        t_close_utc=capture.t_close_utc,
-        meter_lx=capture.illuminance_lx,
+        capture,
         complete=capture.complete and not (sidecar and sidecar.report.lost),
         frames=frozenset(frame.sha256 for frame in capture.frames if frame.sha256),
         sun_u_percent=sidecar.sun.u_mosaic_percent if sidecar and sidecar.sun else 0.0,
@@ -139,7 +130,7 @@ def judge(
     the reason, or doubts about a usable row.
     """
     why = light.why
-    top_wm2 = sun.extraterrestrial_wm2([bracket.t_utc])[0]
+    top_wm2 = sun.extraterrestrial_wm2([bracket.capture.t_mid_utc])[0]
     if bracket.double_of:
         why = (
             f"the same frames as slot {bracket.double_of}: a card was imported with two clock "
@@ -160,7 +151,7 @@ def judge(
         doubts.append(f"the sun covers few pixels: its illuminance is uncertain by {u:.0f} %")
     name = f"{bracket.panorama.parent.name}/{bracket.panorama.name}"
     return PairRow(
-        t_utc=bracket.t_utc,
+        t_utc=bracket.capture.t_mid_utc,
         panorama=name,
         dni_wm2=light.dni_wm2,
         dhi_wm2=light.dhi_wm2,
@@ -214,10 +205,10 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
     with suppress(InputError):
         stored = PairsFile.find(session.pairs)
         refused = {Path(row.panorama).stem: row for row in stored.refused}
-    places = sun.position([b.t_utc for b in brackets], setup.site)
+    places = sun.position([b.capture.t_mid_utc for b in brackets], setup.site)
     angles = np.stack([places.altitude_deg, places.azimuth_deg], axis=1).tolist()
     rows = [
-        judge(b, irradiance_during(log, b.t_open_utc, b.t_close_utc), *at)
+        judge(b, irradiance_during(log, b.capture.t_open_utc, b.capture.t_close_utc), *at)
         for b, at in zip(brackets, angles, strict=True)
     ]
     for k, (bracket, row) in enumerate(zip(brackets, rows, strict=True)):
@@ -230,7 +221,7 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
     completed = _complete_suns(session, setup, *used, force, scheduler)
     for k, row in zip(usable, completed, strict=True):
         rows[k] = row
-    inputs = light_digests(session, {b.slot: b.t_utc for b in brackets})
+    inputs = light_digests(session, {b.slot: b.capture.t_mid_utc for b in brackets})
     rows = [replace(row, inputs=inputs[b.slot]) for b, row in zip(brackets, rows, strict=True)]
     pairs = PairsFile(session.pairs, tuple(rows))
     pairs.write()
@@ -301,7 +292,7 @@ def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: flo
         panorama = read_panorama(bracket.panorama)
     except errors.FieldlumError as error:
         return Shown(bracket.slot, caution=str(error))
-    sun, caution = measured_sun(panorama, full_normal_lx, bracket.meter_lx)
+    sun, caution = measured_sun(panorama, full_normal_lx, bracket.capture.illuminance_lx)
     seen = np.isfinite(panorama.seen_cdm2)
     recorded_lx = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
     heading_deg, at = panorama.heading_deg, None

@@ -60,19 +60,17 @@ def disc_of_hours(view: SkyView, light: Light) -> DiscOfHours:
     )
 
 
-def drawn_shares(
-    view: SkyView, light: Light, rng: np.random.Generator, count: int = DRAWS
-) -> Floats:
-    """Return the disc's share of the beam in `count` draws of pose and view, [count, n].
+def drawn_shares(view: SkyView, light: Light, rng: np.random.Generator) -> Floats:
+    """Return the disc's share of the beam in `DRAWS` draws of pose and view, [DRAWS, n].
 
     A draw has one pose and one position between the bounds of the view (-1: low, 0: best, 1: high)
     for all n hours of `light`. A share is NaN in directions that no lens saw, 0 without a beam.
     """
-    poses = view.pose.drawn(rng, count)
+    poses = view.pose.drawn(rng, DRAWS)
     # Spread evenly; 4 % reach each bound, so that their 2.5th percentile is the bound itself: DGP
     # is .06 higher with 20 lx of a disc than with none.
-    positions = np.clip((rng.permutation(count) + 0.5 - 0.5 * count) / (0.46 * count), -1.0, 1.0)
-    drawn = np.zeros((count, len(light)))
+    positions = np.clip((rng.permutation(DRAWS) + 0.5 - 0.5 * DRAWS) / (0.46 * DRAWS), -1.0, 1.0)
+    drawn = np.zeros((DRAWS, len(light)))
     for hours, part in view.of_hours(light):
         rows = hours[light.direct_lx[hours] > 0.0]
         suns = light.apparent_sun_direction[rows]
@@ -132,34 +130,30 @@ def disc_lx(view: SkyView | None, setup: SiteFile, light: Light) -> Floats:
 
 
 def drawn_discs_lx(
-    view: SkyView | None,
-    setup: SiteFile,
-    light: Light,
-    rng: np.random.Generator,
-    count: int = DRAWS,
+    view: SkyView | None, setup: SiteFile, light: Light, rng: np.random.Generator
 ) -> Floats:
-    """Return the disc's illuminance at the lens in `count` random draws, [count, n] lx.
+    """Return the disc's illuminance at the lens in `DRAWS` random draws, [DRAWS, n] lx.
 
     Each draw varies the sky view, its pose and the beam's luminous efficacy within their
     uncertainties. In directions that no lens saw, the room of `setup` decides, with the sun moved
     at random by about 1.5 degrees; without a room, the share is drawn from 0 to 0.9, the
     transmittance of clear glass. Raises InputError for an impossible room.
     """
-    shares = np.full((count, len(light)), np.nan)
+    shares = np.full((DRAWS, len(light)), np.nan)
     if view is not None:
-        shares = drawn_shares(view, light, rng, count)
-    turns = rng.normal(0.0, EDGE_SD_DEG, (count, 2))  # of azimuth and altitude
-    guesses = rng.permutation((np.arange(count) + 0.5) / count) * CLEAR_GLASS
+        shares = drawn_shares(view, light, rng)
+    turns = rng.normal(0.0, EDGE_SD_DEG, (DRAWS, 2))  # of azimuth and altitude
+    guesses = rng.permutation((np.arange(DRAWS) + 0.5) / DRAWS) * CLEAR_GLASS
     open_hours = np.flatnonzero(np.isnan(shares).any(axis=0) & (light.direct_lx > 0.0))
     if len(open_hours):
         unknown = light[open_hours]
         filled = np.repeat(guesses[:, None], len(unknown), axis=1)
         if setup.room is not None:
-            suns = np.stack([_turned(unknown, *turn) for turn in turns])  # [count, m, 3]
+            suns = np.stack([_turned(unknown, *turn) for turn in turns])  # [DRAWS, m, 3]
             filled = room_shares(setup.room, suns.reshape(-1, 3)).reshape(filled.shape)
         part = shares[:, open_hours]
         shares[:, open_hours] = np.where(np.isnan(part), filled, part)
-    efficacy = np.exp(rng.normal(0.0, 1.0, (count, 1)) * efficacy_u(light.apparent_altitude_deg))
+    efficacy = np.exp(rng.normal(0.0, 1.0, (DRAWS, 1)) * efficacy_u(light.apparent_altitude_deg))
     return np.nan_to_num(shares) * light.direct_lx * efficacy
 
 
