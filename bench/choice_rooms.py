@@ -87,7 +87,7 @@ def render(out: Path, seed: int, hours: int, height: int) -> None:
             session = open_session(folder)
         else:
             session = simulate.make_session(folder, setup, slots, {"set": name})
-        simulate.run(session, weather, height=height, quality="draft", workers=1)
+        simulate.run(session, weather, height=height, quality="draft")
     print(f"room {seed}: {time.process_time() - begin:.0f} CPU s", flush=True)
 
 

@@ -229,7 +229,7 @@ def _campaign(
     session = open_session(out) if made else create_session(out, setup, slots, {"set": "hard"})
     if not made:  # a second rendering would write the readings without their troubles
         weather = simulate.weather_for(setup)
-        simulate.run(session, weather, height=asked.height, quality="draft", workers=1)
+        simulate.run(session, weather, height=asked.height, quality="draft")
         if troubles is not None:
             _trouble(session, troubles, asked.height)
     return load_pairs(session)
@@ -242,7 +242,7 @@ def _trouble(session: Session, troubles: Troubles, height: int) -> None:
     times = [row.t_utc for row in rows]
     dni, dhi = np.array([(row.dni_wm2, row.dhi_wm2) for row in rows]).T
     light = light_at(times, setup.site, dni, dhi)
-    room = simulate.lit_room(setup, height=height, quality="draft", workers=1)
+    room = simulate.lit_room(setup, height=height, quality="draft")
     shown = room.render(true_light(light, troubles, setup.site))
     window, planned = room.view.sky > 0, [slot.t_utc for slot in session.slots()]
     maps = troubled_pictures(

@@ -45,7 +45,7 @@ def render(out: Path, height: int) -> None:
     slots = [Slot(steps[k], float(at.altitude_deg[k]), float(at.azimuth_deg[k]), ()) for k in up]
     session = simulate.make_session(out / "session", setup, slots, {"set": "month"})
     weather = simulate.weather_for(setup)
-    simulate.run(session, weather, height=height, quality="draft", workers=1)
+    simulate.run(session, weather, height=height, quality="draft")
 
 
 def measure(out: Path, count: int) -> None:

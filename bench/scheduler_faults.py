@@ -128,7 +128,7 @@ def years(shared: Path, count: int, days: int) -> tuple[Path, list[Path]]:
         weather = simulate.weather_for(setup)
         slots = simulate.sample_slots(setup, weather, 24, 1)
         session = create_session(root, setup, slots, {"set": "faults"})
-        simulate.run(session, weather, height=12, quality="draft", workers=1)
+        simulate.run(session, weather, height=12, quality="draft")
         data = load_pairs(session)
         models.save(shared / "model", models.fit("transport", data, patch="none"), data)
     paths = [shared / f"weather-{k}.csv" for k in range(count)]

@@ -8,7 +8,7 @@ with the rendered truth.
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from datetime import date, datetime
 from pathlib import Path
@@ -173,16 +173,15 @@ def run(
     *,
     preset: str = "quick",
     show: Callable[[str], AbstractContextManager[None]],
-    workers: int = 2,
     weather: Path | None = None,
 ) -> Outcome:
     """Run all stages in `folder`, and return the outcome.
 
     folder: of the session, created if needed. preset: a name in `PRESETS`. weather: a weather file;
     None: the shipped Seattle year. show: called with the name of each stage, returns a context
-    manager that shows its progress. workers: number of processes; from two, brackets are merged
-    while later ones are captured. Results that are already in `folder` are used again. Raises
-    InputError as `prepare`, and for a weather file that cannot be used.
+    manager that shows its progress. Brackets are merged in another process while later ones are
+    captured. Results that are already in `folder` are used again. Raises InputError as `prepare`,
+    and for a weather file that cannot be used.
     """
     from fieldlum import merge, pair, report
     from fieldlum.learn import train
@@ -191,7 +190,7 @@ def run(
     from fieldlum.room import simulate
 
     height, quality, budget_min = PRESETS[preset]
-    weather, pool = weather or profiles.shipped("capture_plans") / WEATHER, Scheduler(workers)
+    weather, pool = weather or profiles.shipped("capture_plans") / WEATHER, Scheduler(2)
     seconds: dict[str, float] = {}
 
     @contextmanager
@@ -206,11 +205,9 @@ def run(
         session = prepare(folder)
     year, model = simulate.weather_for(session.site_file(), weather), session.models / MODEL
     with stage("render the room"):
-        rendering = {"height": height, "quality": quality, "workers": workers}
-        simulate.run(session, year, **rendering, coloured=True)
+        simulate.run(session, year, height=height, quality=quality, coloured=True)
     size = merge.MergeOptions(height=height)
-    early = merge.merging(session, size) if workers > 1 else nullcontext(lambda slot: None)
-    with stage("capture"), early as merge_slot:
+    with stage("capture"), merge.merging(session, size) as merge_slot:
         capture(session, merge_slot)
     with stage("merge"):
         merge.run(session, size, scheduler=pool)

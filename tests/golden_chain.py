@@ -71,7 +71,7 @@ def run_chain(root: Path) -> Session:
     session = create_session(root / "session", setup, slots, {"set": "golden"})
     weather = shipped("capture_plans") / demo.WEATHER
     year = simulate.weather_for(session.site_file(), weather)
-    simulate.run(session, year, height=HEIGHT, quality="draft", workers=1)
+    simulate.run(session, year, height=HEIGHT, quality="draft")
     demo.capture(session)
     merge.run(session, merge.MergeOptions(height=HEIGHT))
     irradiance.run(session)

@@ -63,7 +63,7 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, demo.Outcom
         patch.setitem(demo.PRESETS, "quick", (23, "draft", 0.0))
         weather = root / "week.csv"
         weather.write_text("\n".join([*year[:head], *week]) + "\n", encoding="utf-8")
-        return root / "s", demo.run(root / "s", show=_unseen, workers=1, weather=weather)
+        return root / "s", demo.run(root / "s", show=_unseen, weather=weather)
 
 
 @pytest.mark.slow

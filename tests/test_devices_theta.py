@@ -218,7 +218,7 @@ def test_one_that_never_ends(
 
 def test_nobody_there() -> None:
     with pytest.raises(DeviceError, match="connect the computer"):
-        ThetaCamera("http://127.0.0.1:9", FastClock(START), timeout_s=1.0)
+        ThetaCamera("http://127.0.0.1:9", FastClock(START))
     for bad in ("theta:ftp://192.168.1.1", "theta:192.168.1.1"):
         with pytest.raises(DeviceError, match="no HTTP address"):
             open_camera(bad, clock=FastClock(START))

@@ -27,6 +27,7 @@ from fieldlum.room.fit.renderer import surfaces, unit_patches
 from fieldlum.room.fit.scene_file import read_scene, write_scene
 from fieldlum.room.fit.search import SceneCost, prior_unit, search
 from fieldlum.room.scene import build, sun_patches
+from fieldlum.room.scene.box_room import room_axes
 from fieldlum.sky import sun
 
 HEIGHT = 64
@@ -76,7 +77,12 @@ def test_the_renderer_agrees_with_the_exact_one(wall: str) -> None:
     pixel, rays = pixel_rays(HEIGHT, 180.0, 1)
     ends = surfaces(guess, rays.astype(np.float32))
     unit = unit_patches(
-        guess, ends, (suns @ guess.turn.T).astype(np.float32), pixel, 1, np.ones(len(pixel))
+        guess,
+        ends,
+        (suns @ room_axes(guess.wall_azimuth_deg).T).astype(np.float32),
+        pixel,
+        1,
+        np.ones(len(pixel)),
     )
     lit, want = unit > 0.05, exact.reshape(3, -1) > 300.0
     inside = ends.surface >= 0

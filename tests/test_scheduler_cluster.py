@@ -109,7 +109,7 @@ def simulated_year(root: Path, scheduler: Scheduler) -> dict[str, bytes]:
     weather = simulate.weather_for(setup)
     slots = simulate.sample_slots(setup, weather, 18, 1)
     session = create_session(root, setup, slots, {"set": "test"})
-    simulate.run(session, weather, height=8, quality="draft", scheduler=scheduler, workers=1)
+    simulate.run(session, weather, height=8, quality="draft", scheduler=scheduler)
     rendered = [s for s in slots if session.truth_panorama(s.id).is_file()]
     brackets = [
         BracketInterval(

@@ -61,7 +61,7 @@ def _cloudy(
 @pytest.mark.slow
 @pytest.mark.parametrize("sd", [0.4])
 def test_intervals_hold_under_clouds_and_north_is_not_blamed(sd: float) -> None:
-    truth_of = simulate.lit_room(SETUP, height=16, quality="draft", workers=1)
+    truth_of = simulate.lit_room(SETUP, height=16, quality="draft")
     request = plan.Request("9-day", today=date(2027, 1, 1), year=2027)
     times = [slot.t_utc for slot in plan.make_plan(SETUP, request).slots]
     weather = simulate.weather_for(SETUP)

@@ -23,8 +23,9 @@ from fieldlum.devices.clock import Clock
 from fieldlum.session import Session
 
 ADDRESS = "http://192.168.1.1"  # of the camera's own access point
-# Timeout that is added to the shutter time, and pause between status requests. Chosen, not
-# measured.
+# Longest wait for an answer, timeout that is added to the shutter time, and pause between status
+# requests. Chosen, not measured.
+_ANSWER_S = 10.0
 READOUT_S = 40.0
 POLL_S = 0.3
 Reply = dict[str, Any]
@@ -40,17 +41,14 @@ class ThetaCamera(Camera):
     Raises DeviceError if the camera does not answer or reports an error.
     """
 
-    def __init__(
-        self, address: str, clock: Clock, *, delete: bool = False, timeout_s: float = 10.0
-    ) -> None:
+    def __init__(self, address: str, clock: Clock, *, delete: bool = False) -> None:
         """Connect to the camera at `address`, such as http://192.168.1.1.
 
-        delete: delete pictures on the camera after copying; timeout_s: longest wait for an answer.
+        delete: delete pictures on the camera after copying.
         """
-        self._address, self._clock = address.rstrip("/"), clock
-        self._delete, self._timeout_s = delete, timeout_s
+        self._address, self._clock, self._delete = address.rstrip("/"), clock, delete
         about, state = self._ask("/osc/info"), self._ask("/osc/state", {}).get("state", {})
-        self._command("camera.setOptions", {"options": _MANUAL}, timeout_s)
+        self._command("camera.setOptions", {"options": _MANUAL}, _ANSWER_S)
         offers = [f"{name}Support" for name in _SETTINGS]
         options = self._options(*offers, "remainingPictures", "dateTimeZone")
         # values that the camera offers: shutter times [s], ISO, f-numbers
@@ -89,7 +87,7 @@ class ThetaCamera(Camera):
         """
         self.refuse_turning(heading_deg)
         settings = self._settings_for(exposure)
-        self._command("camera.setOptions", {"options": {**_MANUAL, **settings}}, self._timeout_s)
+        self._command("camera.setOptions", {"options": {**_MANUAL, **settings}}, _ANSWER_S)
         shown = self._options(*settings)
         for name, value in settings.items():
             if abs(float(shown.get(name, 0.0)) - value) > 1e-3 * value:
@@ -107,7 +105,7 @@ class ThetaCamera(Camera):
         path = target.with_name(f"{target.name}{Path(parts.path).suffix.lower()}")
         store_frame(path, self._http(urllib.request.Request(urls[0]), 60.0))
         if self._delete:
-            self._command("camera.delete", {"fileUrls": urls}, self._timeout_s)
+            self._command("camera.delete", {"fileUrls": urls}, _ANSWER_S)
         return path
 
     def _settings_for(self, exposure: Exposure) -> dict[str, float]:
@@ -138,7 +136,7 @@ class ThetaCamera(Camera):
 
     def _options(self, *names: str) -> Reply:
         """Return the present values of some options, by the API's names."""
-        results = self._command("camera.getOptions", {"optionNames": list(names)}, self._timeout_s)
+        results = self._command("camera.getOptions", {"optionNames": list(names)}, _ANSWER_S)
         answer = results.get("options")
         return answer if isinstance(answer, dict) else {}
 
@@ -173,7 +171,7 @@ class ThetaCamera(Camera):
         headers = {"Content-Type": "application/json;charset=utf-8", "Accept": "application/json"}
         data = None if body is None else json.encode(body)
         request = urllib.request.Request(self._address + path, data, headers)
-        answer = self._http(request, self._timeout_s)
+        answer = self._http(request, _ANSWER_S)
         try:
             return json.decode(answer, type=Reply)
         except (ValueError, RecursionError):

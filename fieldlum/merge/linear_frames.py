@@ -374,9 +374,7 @@ class JpegSignal:
         exposed frame has no lower limit; the least exposed frame is usable up to code 250.
         """
         low, high, _ = self._limits
-        ok = counts >= low
-        ok &= counts <= high
-        return ok
+        return (counts >= low) & (counts <= high)
 
     def readable(self, counts: Floats32) -> tuple[Mask, Floats32]:
         """Return a mask, True for values z [rows, W, 3] up to code 250, and all variances of z."""

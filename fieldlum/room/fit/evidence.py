@@ -24,7 +24,7 @@ from fieldlum.room.fit.sunny_hours import (
     direct_on_windows_lx,
     sunny_hours,
 )
-from fieldlum.room.scene.box_room import is_box_with_window
+from fieldlum.room.scene.box_room import is_box_with_window, room_axes
 from fieldlum.room.scene.view import pixel_rays
 from fieldlum.sky import sun
 from fieldlum.sky.light_similarity import Kernel, facades_of, light_features
@@ -110,7 +110,7 @@ class SceneEvidence:
         share = minutes - row
         altitude, azimuth = ((1.0 - share) * self.clock[row] + share * self.clock[row + 1]).T
         world = sun.direction(altitude, azimuth - guess.north_deg)
-        return (world @ guess.turn.T).astype(np.float32)
+        return (world @ room_axes(guess.wall_azimuth_deg).T).astype(np.float32)
 
     def patches(self, guess: Guess, albedo: Floats) -> Floats:
         """Return the luminance of the guess's sun patches, cd/m2 [n, m].

@@ -83,14 +83,6 @@ class Guess:
     axis_deg: float = 180.0
 
     @property
-    def turn(self) -> Floats:
-        """The rotation from stated world axes (x east, y north, z up) to room axes, [3, 3].
-
-        room = turn @ world. `north_deg` is not included.
-        """
-        return room_axes(self.wall_azimuth_deg)
-
-    @property
     def camera_turn(self) -> Floats:
         """The rotation from the picture's world axes to room axes, [3, 3].
 

@@ -223,13 +223,13 @@ def _hemispheres(normal: Floats, rays: int, rng: np.random.Generator) -> Floats:
 
 
 def _form_factors(
-    scene: BoxScene, pieces: Pieces, position: Floats, normal: Floats, rays: int, workers: int
+    scene: BoxScene, pieces: Pieces, position: Floats, normal: Floats, rays: int
 ) -> Any:
     """Return the irradiance at m points per luminance of each column, CSR [m, columns].
 
     position, normal: of the points [m, 3]; columns: sky patches, the open plain and `pieces`; rays:
-    number of directions from each point, the same in every run; workers: threads. Rows sum to at
-    most pi, the irradiance by a luminance of 1 all around.
+    number of directions from each point, the same in every run. Rows sum to at most pi, the
+    irradiance by a luminance of 1 all around. There is one thread for each core, at most 8.
     """
     step, columns = max(1, _RAYS_A_RUN // rays), FIRST_PIECE + len(pieces)
 
@@ -252,7 +252,7 @@ def _form_factors(
         where = (np.concatenate(rows), np.concatenate(column))
         return csr_matrix((np.concatenate(weights), where), (len(origin), columns))
 
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, 8)) as pool:
         parts = list(pool.map(gathered, range(0, len(position), step)))
     return vstack(parts, format="csr") if parts else csr_matrix((0, columns), dtype=np.float32)
 
@@ -531,29 +531,25 @@ def _tint(kind: str) -> Floats32:
     return tint
 
 
-def lit_room(
-    setup: SiteFile, *, height: int = 115, quality: str = "quick", workers: int | None = None
-) -> LitRoom:
+def lit_room(setup: SiteFile, *, height: int = 115, quality: str = "quick") -> LitRoom:
     """Trace a box room's coefficients, from which `LitRoom.render` computes its light in any hour.
 
     height : rows of the panorama, whose centre column is at the heading of the site's camera;
-    quality : a key of `QUALITIES`; workers : threads, by default one for each core, at most 8. The
-    same room always gives the same result. Raises InputError for a site without a box room and for
-    an impossible room.
+    quality : a key of `QUALITIES`. The same room always gives the same result. Raises InputError
+    for a site without a box room and for an impossible room.
     """
     sizes, heading = QUALITIES[quality], setup.camera.heading_deg % 360.0
     view = traced_view(box_room(setup), height, heading)
     scene, pieces = view.scene, cut_into_pieces(view.scene, sizes.piece_m)
-    threads = min(workers or os.cpu_count() or 1, 8)
     rows = np.flatnonzero(np.isfinite(pieces.middle[:, 0]))  # of pieces that are not covered
     normals, middles = np.eye(3)[pieces.axis[rows]] * pieces.sign[rows, None], pieces.middle[rows]
-    of_open = _form_factors(scene, pieces, middles, normals, sizes.piece_rays, threads)
+    of_open = _form_factors(scene, pieces, middles, normals, sizes.piece_rays)
     one = np.ones(len(rows), np.float32)
     to_all = csr_matrix((one, (rows, np.arange(len(rows)))), (len(pieces), len(rows)))
     of_pieces = (to_all @ of_open).tocsr()  # zeros for covered pieces
     s, faces = joined(view.samples)
     normals = np.eye(3)[s.axis] * s.sign[:, None]
-    of_points = _form_factors(scene, pieces, s.position, normals, sizes.pixel_rays, threads)
+    of_points = _form_factors(scene, pieces, s.position, normals, sizes.pixel_rays)
     reach_m = np.linalg.norm(s.position - scene.camera_m, axis=1) * np.pi / height * _SHARED_PX
     smooth = near_light((s.position, faces), (s.position, faces), _SHARED, reach_m)
     luminance = (s.weight * scene.reflectance[s.box] / np.pi).astype(np.float32)

@@ -81,14 +81,13 @@ class _Room:
     """What decides how a session's room is traced; renderings with equal settings share the result.
 
     key: sha256 of session.toml; height: rows of the panoramas; quality: a key of `QUALITIES`;
-    pitch_deg: of the pixels of the pictures around windows; workers: threads.
+    pitch_deg: of the pixels of the pictures around windows.
     """
 
     key: str
     height: int
     quality: str
     pitch_deg: float
-    workers: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,17 +108,15 @@ def run(
     quality: str = "paper",
     coloured: bool = False,
     force: bool = False,
-    workers: int | None = None,
     scheduler: Scheduler = LOCAL,
 ) -> Simulated:
     """Render the truth of every slot of a session's plan and write its pairs.
 
     Slots that were rendered before in the same way are kept, unless `force`; pictures of another
     rendering are deleted. height : rows of the panoramas; quality : a key of `QUALITIES`; coloured
-    : sky, sun and surfaces have colours; workers : threads of each process, None for one for each
-    core, at most 8. Writes the folder truth/, pairs as `write_pairs`, and the table [simulation] of
-    session.toml. Raises InputError for a room that cannot be rendered or a camera profile that
-    cannot be read.
+    : sky, sun and surfaces have colours. Writes the folder truth/, pairs as `write_pairs`, and the
+    table [simulation] of session.toml. Raises InputError for a room that cannot be rendered or a
+    camera profile that cannot be read.
     """
     setup, slots = session.site_file(), session.slots()
     for folder in (session.root, session.truth, session.truth / "sunpatches"):
@@ -127,7 +124,7 @@ def run(
     build(box_room(setup))  # raises for an impossible room, before anything is deleted
     light, lit = _light_of(setup, slots, weather)
     pitch_deg = linear_light.sensor_pitch_deg(profiles.load_camera_profile(setup.camera.profile))
-    room = _Room(sha256(session.toml), height, quality, pitch_deg, workers)
+    room = _Room(sha256(session.toml), height, quality, pitch_deg)
     _delete_other_pictures(session, slots, weather, room, coloured)
     missing = [int(k) for k in np.flatnonzero(lit) if force or not _is_rendered(session, slots[k])]
     units = []
@@ -179,7 +176,7 @@ def render_slots(folder: Path, job: _Job) -> None:
 def _traced(root: Path, how: _Room) -> tuple[LitRoom, FineWindows | None]:
     """Trace a session's room and windows once in each process; `how.key` separates sessions."""
     setup = Session(root).site_file()
-    room = lit_room(setup, height=how.height, quality=how.quality, workers=how.workers)
+    room = lit_room(setup, height=how.height, quality=how.quality)
     return room, fine_windows(room, how.pitch_deg)
 
 

@@ -15,14 +15,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.files import read_bytes, sha256
 from fieldlum.core.records import counted, parse_utc, utc_text
 from fieldlum.core.strict_csv import IRRADIANCE_LIMITS_WM2, read_table
-from fieldlum.session.codec import (
-    check_format,
-    data_digest,
-    read_row,
-    sealed,
-    warn_if_changed,
-    write_csv,
-)
+from fieldlum.session import codec
 from fieldlum.session.day_files import day_files
 from fieldlum.session.files.sidecar import of_other_profile
 from fieldlum.session.folder import Session
@@ -137,7 +130,7 @@ class PairsFile:
         _refuse_foreign_pictures(path, rows)
         unknown = [name for name in table.names if name and name not in _KNOWN]
         warnings = [f"{path.name}: unknown column {name} is ignored" for name in unknown]
-        if change := warn_if_changed(path):
+        if change := codec.warn_if_changed(path):
             warnings.append(f"WARNING: {change}")
         return cls(path, tuple(rows), tuple(warnings))
 
@@ -151,8 +144,8 @@ class PairsFile:
 
         These columns lack state and refraction. NaN becomes an empty cell.
         """
-        with sealed(self.path):
-            write_csv(self.path, (asdict(row) for row in self.rows), PAIR_COLUMNS)
+        with codec.sealed(self.path):
+            codec.write_csv(self.path, (asdict(row) for row in self.rows), PAIR_COLUMNS)
 
 
 def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
@@ -187,8 +180,8 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         row = replace(row, doubtful=cells.get("doubtful") == "1", inputs=cells.get("inputs", ""))
         return replace(row, why=cells.get("why", ""))
     all_cells = {"doubtful": _was_doubtful(cells), **cells, "line": str(line)}
-    row = read_row(PairRow, where, all_cells, _REMEDY)
-    check_format(path, row.format, FORMAT)
+    row = codec.read_row(PairRow, where, all_cells, _REMEDY)
+    codec.check_format(path, row.format, FORMAT)
     if not row.panorama:
         raise InputError(where, "the cell of column panorama is empty", "a picture's path", _REMEDY)
     low, high = IRRADIANCE_LIMITS_WM2
@@ -263,5 +256,5 @@ def light_digests(
         used = [texts[m] for m in minutes if m in texts and m.decode() < until]
         sidecar = session.sidecar(slot)  # has the digest of the panorama
         merged = sha256(sidecar) if sidecar.is_file() else ""
-        digests[slot] = f"{data_digest(marked.get(slot), used, merged)[:12]} {until}"
+        digests[slot] = f"{codec.data_digest(marked.get(slot), used, merged)[:12]} {until}"
     return digests

@@ -17,7 +17,7 @@ import numpy as np
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import SiteFile
-from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
+from fieldlum.core.scheduler import LOCAL, Scheduler, WorkUnit, run_each
 from fieldlum.learn.models import Fitted, Prediction, load, read_config, seen_of, trusted_hours
 from fieldlum.learn.models.mirrors import Mirror, MirroredSun, read_mirrors
 from fieldlum.optics.projection import altitude_azimuth_deg, column_azimuths_deg, row_altitudes_deg
@@ -527,11 +527,7 @@ def predict_figures(
         units.append(WorkUnit(f"hours-{start}", predict_hours, folder, part, files=paths))
     parts: dict[str, HourFigures] = {}
 
-    def take(outcome: UnitOutcome) -> None:
-        """Store the figures of a unit in `parts`; raise its error if it failed."""
-        parts[outcome.unit.name] = outcome.result()
-
-    run_each(units, scheduler, take)
+    run_each(units, scheduler, lambda ended: parts.update({ended.unit.name: ended.result()}))
     return joined([parts[unit.name] for unit in units])
 
 
