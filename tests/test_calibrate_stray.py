@@ -116,7 +116,7 @@ def test_readings_that_cannot_be_are_refused(readings_csv: Path) -> None:
     readings = stray.from_table(readings_csv, PROFILE)
     with pytest.raises(NotEnoughDataError, match="at least 8"):
         stray.fit(readings[:5])
-    grey = [replace(r, stray_cdm2=200.0 * r.stray_cdm2) for r in readings]
+    grey = [r._replace(stray_cdm2=200.0 * r.stray_cdm2) for r in readings]
     with pytest.raises(InputError, match="the fitted stray light is"):
         stray.fit(grey)
     picture = Panorama(scene((40.0, 20.0)).reshape(HEIGHT, -1).astype(np.float32), 0.0)

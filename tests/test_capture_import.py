@@ -469,7 +469,7 @@ def test_late_people_are_no_error_of_the_clock() -> None:
 @pytest.mark.parametrize(("offset_s", "is_noted"), [(-8 * 3600.0, True), (PDT_S, False)])
 def test_an_offset_in_exif_that_is_no_civil_time_is_noted(offset_s: float, is_noted: bool) -> None:
     setup = SiteFile(SEATTLE)
-    frames = [replace(frame, exif_offset_s=offset_s) for frame in frames_at(PLAN[0].t_utc)]
+    frames = [frame._replace(exif_offset_s=offset_s) for frame in frames_at(PLAN[0].t_utc)]
     found = clock_offset([Group(tuple(frames))], PLAN, setup, None)
     told = "stated in EXIF (civil time of the place is UTC -07:00: if the clock showed that, "
     assert found.exif_s == (offset_s,) and found.seconds == 0.0

@@ -4,9 +4,9 @@ import math
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import cast, get_args
+from typing import NamedTuple, cast, get_args
 
 import numpy as np
 
@@ -30,8 +30,7 @@ ERRORS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Spec:
+class Spec(NamedTuple):
     """A model to compare, parsed from ``NAME``, ``NAME:PATCH`` or the folder of a trained model.
 
     label: its name in tables; name: key of `MODELS`; patch: how sun patches are used; folder: of
@@ -71,8 +70,7 @@ def _parse_spec(text: str) -> Spec:
     raise InputError("--models", found, expected, remedy)
 
 
-@dataclass(frozen=True, slots=True)
-class BenchData:
+class BenchData(NamedTuple):
     """The pairs of a benchmark, and the models to compare.
 
     data: hours to train on. test: hours that no model was trained on; None to use held-out days.

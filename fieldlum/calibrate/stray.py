@@ -6,7 +6,7 @@ trap or the lamp at many angles give the kernel of `optics.stray_light` by least
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,8 +32,7 @@ NODE_SETS: tuple[tuple[float, ...], ...] = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class StrayReading:
+class StrayReading(NamedTuple):
     """The stray light at one dark place, and the light that may cause it.
 
     place: of the dark place in its panorama. stray_cdm2: recorded minus true luminance of the
@@ -187,5 +186,4 @@ def chart(readings: Sequence[StrayReading], fit: StrayFit) -> Chart:
     recorded = np.array([r.stray_cdm2 for r in readings])
     title = f"Stray light: {100 * fit.total_share:.2g} % of a source's light is spread"
     off, places = recorded / fit.predicted_cdm2 - 1.0, [r.place for r in readings]
-    y = ("stray light [cd/m²]", recorded)
-    return Chart(title, off, places, y=y, fitted=fit.predicted_cdm2)
+    return Chart(title, off, places, y=("stray light [cd/m²]", recorded), fitted=fit.predicted_cdm2)

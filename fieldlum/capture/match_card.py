@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import chain, pairwise
 from pathlib import Path
+from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -24,8 +25,7 @@ MAX_DELAY_S = 1200.0
 _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (IANA tz database)
 
 
-@dataclass(frozen=True, slots=True)
-class CardFrame:
+class CardFrame(NamedTuple):
     """A frame as EXIF describes it.
 
     path: of its file on the card; t_camera: time that the camera's clock showed, read as if it were
@@ -71,8 +71,7 @@ class Offset:
 Clocks = Sequence[tuple[Sequence[Group], Offset]]
 
 
-@dataclass(frozen=True, slots=True)
-class Match:
+class Match(NamedTuple):
     """A bracket on a card, and the planned slot it belongs to.
 
     late_s: true start minus planned start [s]; offset: of the camera's clock.

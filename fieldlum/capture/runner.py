@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from shutil import disk_usage
-from typing import Any
+from typing import Any, NamedTuple
 
 from fieldlum import devices
 from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, frame_requests
@@ -27,8 +27,7 @@ from fieldlum.sky.sun import standard_date
 from fieldlum.version import __version__
 
 
-@dataclass(frozen=True, slots=True)
-class Live:
+class Live(NamedTuple):
     """State of a running capture, for the display and for alerts.
 
     state: waiting, capturing or finished. t_utc: time of this state. planned, done, missed,

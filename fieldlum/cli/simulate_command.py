@@ -90,8 +90,7 @@ def command(
     answer |= {"dark": result.dark, "weather": result.weather, "size": size, "quality": chosen}
     dark = f", {result.dark} without light" if result.dark else ""
     hours = f"hours: {result.rendered} rendered, {result.kept} unchanged{dark}"
-    line = f"{session.root}: {hours}; weather: {result.weather}"
-    terminal.print_answer(as_json, answer, [line])
+    terminal.print_answer(as_json, answer, [f"{session.root}: {hours}; weather: {result.weather}"])
 
 
 def _planned(

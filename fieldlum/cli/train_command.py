@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from fieldlum.cli.command_parameters import PATH, Named
 from fieldlum.cli.options import Above0, Seed, command_of
 from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 from fieldlum.learn.model_kinds import MODELS
-
-if TYPE_CHECKING:
-    from fieldlum.session.files.model_files import TrainAnswer
-
 
 _JUDGED = ("judged_dgp_error", "judged_ev_error", "judged_log10_mse", "n_judged")
 _COLUMNS = ("name", *_JUDGED, "dgp_mae", "log10_mse_weighted", "worst", "fit_s", "n_test")
@@ -68,7 +64,7 @@ def command(
     say(f"{folder}: {kept}" if answer.get("kept") else f"model written to {folder}")
 
 
-def _lines(answer: TrainAnswer) -> list[str]:
+def _lines(answer: dict[str, Any]) -> list[str]:
     """Return the lines that the terminal shows: scores of the models, and the choice."""
     lines = [
         *table_lines(answer["models"], _COLUMNS),

@@ -304,8 +304,7 @@ def read_time(text: str, *, utc: bool = False) -> datetime:
         return datetime.fromtimestamp(float(f"{unix[1]}.{unix[2] or 0}"), UTC)
     if serial := _SERIAL_DAY.fullmatch(text):
         part_s = round(86400.0 * float(f"0.{serial[2] or 0}"))
-        day = timedelta(days=int(serial[1]), seconds=part_s)
-        t = datetime(1899, 12, 30, tzinfo=UTC) + day
+        t = datetime(1899, 12, 30, tzinfo=UTC) + timedelta(days=int(serial[1]), seconds=part_s)
         return t if utc else t.replace(tzinfo=None)
     stated = re.sub(" ?(UTC|GMT)$", "Z", _COMPACT.sub(r"\1-\2-\3 \4:\5", text))
     stated = _YEAR_FIRST.sub(lambda date: f"{date[1]}-{date[3]:0>2}-{date[4]:0>2}", stated)

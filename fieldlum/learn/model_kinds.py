@@ -5,11 +5,10 @@ A model is a module with ``fit(data, *, patch, seed, budget_s) -> Fitted`` and
 to add one; command line, `auto`, `bench`, `predict` and `report` follow from its entry here.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 
-@dataclass(frozen=True, slots=True)
-class ModelKind:
+class ModelKind(NamedTuple):
     """Where the code of a kind of model is, and how `train` tries it.
 
     module: import path. fit: name of the fitting function in the module. baseline: True if `train`

@@ -9,9 +9,8 @@ points to directions. Robust weights reduce the effect of motion.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -26,8 +25,7 @@ _MAX_POINTS, _MIN_POINTS = 400, 20
 _BLOCKS = 6  # parts of the picture per side whose errors are independent
 
 
-@dataclass(frozen=True, slots=True)
-class ReducedFrame:
+class ReducedFrame(NamedTuple):
     """A frame at a reduced size.
 
     log_light [h, w]: natural logarithm of the light, in any unit, 0 where not seen; seen [h, w]:

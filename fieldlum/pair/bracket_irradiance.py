@@ -1,7 +1,7 @@
 """Compute the irradiance during a bracket, and whether the bracket may be used."""
 
-from dataclasses import dataclass
 from datetime import datetime
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,8 +9,7 @@ from fieldlum.core.arrays import Floats, Mask
 from fieldlum.session.files.irradiance_csv import MEASURED, CleanIrradiance
 
 
-@dataclass(frozen=True, slots=True)
-class BracketIrradiance:
+class BracketIrradiance(NamedTuple):
     """Outdoor irradiance during a bracket; NaN is unknown.
 
     ghi_wm2, dhi_wm2, dni_wm2: means of global and diffuse horizontal and direct normal irradiance.

@@ -9,9 +9,9 @@ import os
 import platform
 import sys
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from msgspec import field
 
@@ -26,8 +26,7 @@ class _PermitsFile(JsonFile, frozen=True):
     permitted: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Subject:
+class Subject(NamedTuple):
     """Something that needs a permission.
 
     kind: device or link; name: as the user reads it; digest: of everything that decides what

@@ -4,8 +4,7 @@ In a file of another program, columns may begin at another azimuth, the ground m
 sphere may be seen from outside. Nothing else shows it: the model of such captures has small errors.
 """
 
-from dataclasses import dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.ndimage import label
@@ -25,8 +24,7 @@ _WITHIN_DEG = 6.0  # largest error of a compass near steel, and a degree for lev
 _SURE_DISCS = 2  # that support an explanation until it is certain; chosen
 
 
-@dataclass(frozen=True, slots=True)
-class WrongAxes:
+class WrongAxes(NamedTuple):
     """What is wrong with the axes of pictures, and what to do.
 
     found: what is wrong, remedy: what to do, as sentences without a full stop. sure: a single

@@ -466,8 +466,7 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
     with input_errors(path, "a number of hours", "download the file again", ValueError):
         hours = float(about.get("Irradiance Time Offset (h)", "0"))
     notes = (_moved(hours),) if hours else ()
-    shift = timedelta(hours=hours)
-    return WeatherTable(rows, typical=True, place=place, shift=shift, notes=notes)
+    return WeatherTable(rows, typical=True, place=place, shift=timedelta(hours=hours), notes=notes)
 
 
 def _read_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
@@ -556,8 +555,7 @@ def _read_cams(path: Path, lines: list[str], site: Site) -> WeatherTable:
         start, _, end = cells[0].partition("/")
         return _stated(start) + (_stated(end) - _stated(start)) / 2
 
-    rows = _rows(path, body, when, names)
-    return WeatherTable(rows, typical=False, place=place)
+    return WeatherTable(_rows(path, body, when, names), typical=False, place=place)
 
 
 def _stated(text: str, *, utc: bool = True) -> datetime:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -97,8 +97,7 @@ def difference(candidate: HeldOutErrors, other: HeldOutErrors, name: str) -> tup
     return mean, float(np.nan_to_num(error)) / (1.0 - TRIM)
 
 
-@dataclass(frozen=True, slots=True)
-class HeldOutChoice:
+class HeldOutChoice(NamedTuple):
     """The index of the best candidate, and the criterion that decided.
 
     by: one of `CRITERIA`, in which all others are worse by over a standard error; None if no

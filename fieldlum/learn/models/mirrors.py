@@ -13,7 +13,7 @@ are near and whose pixels have similar luminance in all captures.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,8 +48,7 @@ _SAME_MIRROR, _OTHER_MIRROR = 2.0, 3.0
 # spots and planes
 
 
-@dataclass(frozen=True, slots=True)
-class SunImage:
+class SunImage(NamedTuple):
     """A bright spot of a map that may be an image of the sun.
 
     row: index of the capture in the training data; towards: unit vector from the camera to the
@@ -62,8 +61,7 @@ class SunImage:
     spot: sun_disc.SunDisc
 
 
-@dataclass(frozen=True, slots=True)
-class MirrorPlane:
+class MirrorPlane(NamedTuple):
     """A plane mirror that captures show.
 
     normal: unit vector of the plane on the sun's side, x east, y north, z up [3]; u_deg: its

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
+from typing import NamedTuple
 
 import numpy as np
 
@@ -99,8 +100,7 @@ def join(parts: Sequence[Scores]) -> Scores:
 # comparing
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
+class Truth(NamedTuple):
     """Everything about a test set that does not depend on the model.
 
     data: n test captures; views: ten view directions; glare_maps: mask [n] of the maps for which
@@ -302,8 +302,7 @@ def summary(scores: Scores) -> ScoreFigures:
 # error over a year: held-out days are close to captured days, so that their error is too small
 
 
-@dataclass(frozen=True, slots=True)
-class YearExpectation:
+class YearExpectation(NamedTuple):
     """The error that a model itself expects over a year, from a sample of hours.
 
     expected_log10_mse: mean over the sample, NaN if the model does not estimate its error;

@@ -362,7 +362,7 @@ def run(
         "reason": result.choice.reason,
         "parameters": result.fitted.parameters,
         "final_fit_s": result.fit_s,
-        "year": None if result.year is None else asdict(result.year),
+        "year": None if result.year is None else result.year._asdict(),
         "notes": result.notes,
         "inputs": inputs,
     }

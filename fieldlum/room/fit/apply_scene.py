@@ -122,8 +122,7 @@ def apply_scene(data: Dataset, pairs: Path, option: str, patch: str) -> tuple[Da
         scene = read_scene(folder)
         data = with_scene(data, scene, source=folder / SCENE_TOML)
         doubt = "" if scene.trusted else "WARNING: the scene is not trusted. "
-        note = f"{doubt}scene {folder}: {scene.verdict}"
-        data = replace(data, notes=(*data.notes, note))
+        data = replace(data, notes=(*data.notes, f"{doubt}scene {folder}: {scene.verdict}"))
         return data, "none" if scene.chosen == "none" else patch
     room = data.setup.room
     if data.patch_cdm2 is None and patch != "none" and room is not None and room.window:

@@ -6,7 +6,7 @@ camera ends on the shell of the room or on a solid; from there the sun is seen i
 it passes the inner and the outer rectangle of a window, misses its bars and misses all solids.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,7 @@ OUTSIDE = -1  # a ray that leaves through a window
 _THICK_M = 1.0  # thickness of the boxes around the room; chosen, no ray passes them
 
 
-@dataclass(frozen=True)
-class Surfaces:
+class Surfaces(NamedTuple):
     """Where r camera rays end, in room axes.
 
     position_m [r, 3]; axis (0 x, 1 y, 2 z) and sign (1.0 or -1.0) of the normal of the surface that

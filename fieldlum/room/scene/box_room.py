@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, pairwise
-from typing import TypeGuard
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
@@ -71,8 +71,7 @@ def glass_optics(transmittance: float, cosine: ArrayLike) -> tuple[Floats, Float
     return passed, mirrored
 
 
-@dataclass(frozen=True, slots=True)
-class Box:
+class Box(NamedTuple):
     """An opaque matt box from corner `low` to corner `high`.
 
     low, high: (x, y, z) in m, in room axes. reflectance: 0 to 1. kind: floor, ceiling, wall,

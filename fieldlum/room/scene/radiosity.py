@@ -10,7 +10,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -52,8 +52,7 @@ _FROM_XYZ = np.linalg.inv(_TO_XYZ)
 _Y = np.array(images.RADIANCE_Y, np.float32)  # luminance of R, G and B
 
 
-@dataclass(frozen=True, slots=True)
-class Quality:
+class Quality(NamedTuple):
     """Sizes that decide accuracy and time of a rendering.
 
     piece_m : length of the surface pieces' edges in the room; pixel_rays, piece_rays : number of
@@ -300,8 +299,7 @@ def near_light(
 # light
 
 
-@dataclass(frozen=True)
-class Rendering:
+class Rendering(NamedTuple):
     """Pictures of n moments, without the sun disc.
 
     luminance_cdm2 : [n, H, W]; patch_cdm2 : [n, H, W] of direct sun only, with fewer rays for each

@@ -420,8 +420,7 @@ def _add_outside(
                     totals[hour, target[point]] += share * cosine * weight[point]
 
 
-@dataclass(frozen=True)
-class _Group:
+class _Group(NamedTuple):
     """The r points inside or outside the panes, and the s boxes that shade them.
 
     position [r, 3] m; face [r]: direction of the normal, 0, 1, 2 for +x, +y, +z, 3, 4, 5 for -x,

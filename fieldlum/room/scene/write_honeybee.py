@@ -131,8 +131,7 @@ def _shades(scene: BoxScene) -> Iterator[dict[str, Any]]:
     for k in scene.of_kind(*_SHADES):
         box = scene.boxes[k]
         for axis, side in product(range(3), (0, 1)):
-            name = f"{box.kind}_{k}_{axis}{side}"
-            yield _side(scene, box, axis, side, "Shade", name, f"box_{k}")
+            yield _side(scene, box, axis, side, "Shade", f"{box.kind}_{k}_{axis}{side}", f"box_{k}")
     for k, o in enumerate(scene.openings):
         inner, outer = sorted((o.inner_m, o.outer_m))
         hole = upright(o.axis, (inner, outer), o.u_m, o.z_m, 0.0, "reveal")

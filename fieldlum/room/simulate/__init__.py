@@ -175,8 +175,7 @@ def render_slots(folder: Path, job: _Job) -> None:
 @lru_cache(maxsize=1)
 def _traced(root: Path, how: _Room) -> tuple[LitRoom, FineWindows | None]:
     """Trace a session's room and windows once in each process; `how.key` separates sessions."""
-    setup = Session(root).site_file()
-    room = lit_room(setup, height=how.height, quality=how.quality)
+    room = lit_room(Session(root).site_file(), height=how.height, quality=how.quality)
     return room, fine_windows(room, how.pitch_deg)
 
 

@@ -4,7 +4,7 @@ The camera has looked through the window at the place of the eye. A stated room 
 directions that no lens saw, and by models without a sky view.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,7 @@ _EFFICACY_U = 0.04
 CLEAR_GLASS = 0.9
 
 
-@dataclass(frozen=True, slots=True)
-class DiscOfHours:
+class DiscOfHours(NamedTuple):
     """The sun's disc at the lens in n hours, on a plane normal to the sun.
 
     best_lx [n]: most likely illuminance; low_lx, high_lx [n]: by the bounds of the sky view, with
