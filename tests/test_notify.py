@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import pytest
 from places import SEATTLE
 
+from fieldlum.capture import notify, steady_clock
 from fieldlum.capture.notify import (
     Alerts,
     Heartbeat,
@@ -156,7 +157,7 @@ def test_apprise_reaches_http_and_mail(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
-def test_a_day_without_network_loses_nothing() -> None:
+def test_a_day_without_network_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     network = threading.Event()
     arrived: list[str] = []
     said: list[str] = []
@@ -167,7 +168,8 @@ def test_a_day_without_network_loses_nothing() -> None:
         arrived.append(message.title)
         return True
 
-    outbox = Outbox(post, said.append, first_pause_s=0.01)
+    monkeypatch.setattr(notify, "FIRST_PAUSE_S", 0.01)
+    outbox = Outbox(post, said.append)
     for number in range(3):
         outbox.put(Message(f"message {number}", "body"))
     assert until(lambda: said == ["note: messages cannot be sent (OSError); they wait"])
@@ -343,9 +345,10 @@ def test_a_capture_reports_and_no_secret_is_written(session: Session, tmp_path: 
 
 
 @pytest.mark.property
-def test_heartbeats_come_at_once_and_regularly() -> None:
+def test_heartbeats_come_at_once_and_regularly(monkeypatch: pytest.MonkeyPatch) -> None:
     fetched: list[str] = []
-    heart = Heartbeat("http://127.0.0.1/", every_s=0.05, use=fetched.append)
+    monkeypatch.setattr(notify, "fetch", fetched.append)
+    heart = Heartbeat("http://127.0.0.1/", every_s=0.05)
     assert until(lambda: len(fetched) >= 3)
     heart.end()
 
@@ -353,7 +356,8 @@ def test_heartbeats_come_at_once_and_regularly() -> None:
         fetched.append("tried")
         raise OSError(SECRET)
 
-    heart = Heartbeat("http://127.0.0.1/", every_s=60.0, use=refuse)
+    monkeypatch.setattr(notify, "fetch", refuse)
+    heart = Heartbeat("http://127.0.0.1/", every_s=60.0)
     assert until(lambda: fetched.count("tried") == 1)
     heart.beat()
     assert until(lambda: fetched.count("tried") == 2)
@@ -361,12 +365,14 @@ def test_heartbeats_come_at_once_and_regularly() -> None:
 
 
 @pytest.mark.analytic
-def test_an_unset_clock_is_waited_for(session: Session) -> None:
+def test_an_unset_clock_is_waited_for(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     written = datetime.fromtimestamp(session.toml.stat().st_mtime, UTC)
     clock = FastClock(written - timedelta(days=400))
     tries = iter([False, False, False, True])
-    wait_for_clock(session, clock, said.append, lambda: next(tries))
+    monkeypatch.setattr(steady_clock, "synchronised", lambda: next(tries))
+    wait_for_clock(session, clock, said.append)
     assert len(said) == 2 and "has not been set" in said[0]
-    wait_for_clock(session, FastClock(written + timedelta(hours=1)), said.append, lambda: False)
+    monkeypatch.setattr(steady_clock, "synchronised", lambda: False)
+    wait_for_clock(session, FastClock(written + timedelta(hours=1)), said.append)
     assert len(said) == 2

@@ -78,10 +78,8 @@ class Outbox(_Background):
     one. Of more than 500 waiting messages the oldest are dropped.
     """
 
-    def __init__(
-        self, post: Post, say: Callable[[str], None], *, first_pause_s: float = FIRST_PAUSE_S
-    ) -> None:
-        self._post, self._say, self._first_pause_s = post, say, first_pause_s
+    def __init__(self, post: Post, say: Callable[[str], None]) -> None:
+        self._post, self._say = post, say
         self._waiting: deque[Message] = deque(maxlen=500)  # a month at ten a day
         self._failures = 0  # in sequence
         super().__init__("outbox")
@@ -108,7 +106,7 @@ class Outbox(_Background):
                     self._say(lost if why else "note: messages are sent again")
             if why:
                 self._failures += 1
-                return pause_s(self._failures, self._first_pause_s, MAX_PAUSE_S)
+                return pause_s(self._failures, FIRST_PAUSE_S, MAX_PAUSE_S)
             self._failures = 0
             if self._waiting[0] is message:  # `put` did not drop it in the meantime
                 self._waiting.popleft()
@@ -204,14 +202,11 @@ def fetch(address: str) -> None:
 class Heartbeat(_Background):
     """Requests an address in its own thread: at once, after each `beat`, and every `every_s` s.
 
-    A monitor at the address raises an alarm when requests stop. use: requests the address; its
-    errors are ignored.
+    A monitor at the address raises an alarm when requests stop. Errors of a request are ignored.
     """
 
-    def __init__(
-        self, address: str, every_s: float = 600.0, use: Callable[[str], None] = fetch
-    ) -> None:
-        self._address, self._every_s, self._use = address, every_s, use
+    def __init__(self, address: str, every_s: float = 600.0) -> None:
+        self._address, self._every_s = address, every_s
         super().__init__("heartbeat")
 
     def beat(self) -> None:
@@ -222,7 +217,7 @@ class Heartbeat(_Background):
         """Request the address once; return the pause until the next request [s]."""
         with suppress(Exception):  # without network or monitor, the next beat tries again
             if not self._closing:
-                self._use(self._address)
+                fetch(self._address)
         return self._every_s
 
 

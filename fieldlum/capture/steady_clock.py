@@ -116,27 +116,22 @@ class SteadyClock(Clock):
         self._anchor_utc, self._anchor_s = self._clock.now(), self._clock.boottime()
 
 
-def wait_for_clock(
-    session: Session,
-    clock: Clock,
-    say: Callable[[str], None],
-    trusted: Callable[[], bool | None] = synchronised,
-) -> None:
+def wait_for_clock(session: Session, clock: Clock, say: Callable[[str], None]) -> None:
     """Wait while the computer's clock is over two minutes earlier than the session's last change.
 
     A small computer without a clock battery starts with a past time, until a time server answers. A
     bracket taken before that would get a wrong sun position. The session's last change is that of
-    session.toml. trusted: returns whether a time server has set the clock, which ends the waiting;
-    say: called with notes for the user.
+    session.toml. A clock that a time server has set ends the waiting. say: called with notes for
+    the user.
     """
     latest_utc = datetime.fromtimestamp(session.toml.stat().st_mtime, UTC)
-    if clock.now() >= latest_utc - _CLOCK_TOLERANCE or trusted():
+    if clock.now() >= latest_utc - _CLOCK_TOLERANCE or synchronised():
         return
     say(
         f"this computer's clock shows {clock.now():%Y-%m-%d %H:%M} UTC, earlier than the session "
         f"({latest_utc:%Y-%m-%d %H:%M} UTC), so it has not been set. The capture waits: connect to "
         "the network, or set the clock."
     )
-    while clock.now() < latest_utc - _CLOCK_TOLERANCE and not trusted():
+    while clock.now() < latest_utc - _CLOCK_TOLERANCE and not synchronised():
         clock.sleep(5.0)
     say(f"the clock is set: {clock.now():%Y-%m-%d %H:%M} UTC")
