@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import msgspec
-from msgspec import Meta
 
 from fieldlum.core.errors import InputError, did_you_mean, input_errors, kind_of, require_name
 from fieldlum.core.files import read_bytes
@@ -21,9 +20,9 @@ from fieldlum.core.files import read_bytes
 T = TypeVar("T")
 TomlTable = dict[str, Any]
 """A table of a TOML file, as `tomllib` reads it."""
-Positive = Annotated[float, Meta(gt=0.0, lt=1e12)]
-NotNegative = Annotated[float, Meta(ge=0.0)]
-Share = Annotated[float, Meta(ge=0.0, lt=1.0)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0, lt=1e12)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
 """Numbers of a table whose range is checked when it is built."""
 
 # Larger files are refused: the largest of fieldlum has some kB, but /dev/zero has no end. Chosen.

@@ -22,14 +22,10 @@ from fieldlum.optics.images import read_panorama
 from fieldlum.pair.camera_sky_view import is_outdated
 from fieldlum.session import Session, check_writable, open_session, sha256
 from fieldlum.session.codec import current_note, data_digest, sealed
+from fieldlum.session.files import predict_json
 from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS
 from fieldlum.session.files.model_files import ModelConfig
-from fieldlum.session.files.predict_json import (
-    DirectionYear,
-    PredictFile,
-    YearOccupancy,
-    YearWeather,
-)
+from fieldlum.session.files.predict_json import DirectionYear, PredictFile, YearOccupancy
 from fieldlum.session.files.sidecar import newest_sidecar
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky.daylight import Light, light_at
@@ -158,7 +154,7 @@ def _about(
         width=room.width,
         heading_deg=room.heading_deg,
         azimuths_deg=tuple(azimuths.tolist()),
-        weather=YearWeather(weather.name, weather.synthetic, tuple(weather.repairs)),
+        weather=predict_json.YearWeather(weather.name, weather.synthetic, tuple(weather.repairs)),
         hours=len(light),
         first=utc_text(light.t_utc[0]),
         last=utc_text(light.t_utc[-1]),
