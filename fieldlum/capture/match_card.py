@@ -6,7 +6,7 @@ which the clock was set during a campaign are detected too.
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import chain, pairwise
 from pathlib import Path
@@ -54,8 +54,7 @@ class Group:
         return self.frames[0].t_camera
 
 
-@dataclass(frozen=True, slots=True)
-class Offset:
+class Offset(NamedTuple):
     """The camera's clock minus UTC [s], and how it was determined.
 
     seconds: `CardFrame.t_camera` minus UTC. how: a clause for the user, such as "fitted to the
@@ -269,7 +268,7 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
     if abs(median_s) < 1.0 or float(np.median(np.abs(near_s - median_s))) > 5.0:
         return offset
     how = f"{offset.how}, corrected by {median_s:+.0f} s, the median of {len(near_s)} brackets"
-    return replace(offset, seconds=offset.seconds + median_s, how=how)
+    return offset._replace(seconds=offset.seconds + median_s, how=how)
 
 
 def match_groups(

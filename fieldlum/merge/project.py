@@ -18,8 +18,7 @@ from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import Equirect, LensGeometry, Target, lens_pixels, wrapped
 
 
-@dataclass(frozen=True, slots=True)
-class Resampler:
+class Resampler(NamedTuple):
     """How the pixels of a target grid are weighted means of the pixels of a sensor.
 
     matrices: by colour, scipy.sparse.csr_array of float32 [target pixels, sensor pixels]; a row

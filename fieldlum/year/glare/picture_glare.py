@@ -61,7 +61,7 @@ def picture_glare(
     view, or not all of it; with `reference` FieldlumError if evalglare prints no figures.
     """
     picture = pictures.read_picture(path, view_options, part)
-    picture = picture if lamps is None else replace(picture, lamps=lamps)
+    picture = picture if lamps is None else picture._replace(lamps=lamps)
     judge = partial(glare_answer, picture, path, azimuths_deg)
     if measured_ev_lx is None:
         return judge(reference=reference)[0]

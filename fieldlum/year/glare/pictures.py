@@ -39,8 +39,7 @@ _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _INHERITED = "the VIEW is that of an input picture: it is wrong if that picture was cropped"
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
+class Picture(NamedTuple):
     """A luminance picture with its view.
 
     panorama : the pixels, rows from the top, also of a picture that is no panorama; its heading_deg

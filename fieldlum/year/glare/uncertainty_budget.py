@@ -6,7 +6,7 @@ scale over all its hours.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -149,7 +149,7 @@ def budget_of_file(path: Path, azimuths_deg: Sequence[float], lamps: bool | None
         raise InputError(path, "a picture of one view", expected, remedy)
     sky = path.absolute().parent.parent / "sky_view.exr"
     u_heading_deg = SkyView.read(sky).pose.heading_sd_deg if sky.is_file() else STATED_SD[0]
-    picture = picture if lamps is None else replace(picture, lamps=lamps)
+    picture = picture if lamps is None else picture._replace(lamps=lamps)
     return picture_budget(picture, path, azimuths_deg, u_heading_deg)
 
 
