@@ -172,7 +172,7 @@ def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
     in_exif = Offset(0.0, "stated in EXIF", (PST_S,))
     utc = [bracket(slot, 3600.0) for slot in MONTH[:60]]
     assert "with --utc-offset -07:00 it" in offset_contradiction(utc, MONTH[:60], in_exif)
-    two = replace(in_exif, exif_s=(PST_S, PDT_S))
+    two = in_exif._replace(exif_s=(PST_S, PDT_S))
     assert "an offset changed by +1 h" in offset_contradiction(utc, MONTH[:60], two)
 
 
