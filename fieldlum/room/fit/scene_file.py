@@ -70,4 +70,6 @@ def read_scene(folder: Path) -> Scene:
     if table.get("format") != FORMAT:
         expected, remedy = f"format {FORMAT}", "fit the scene again (fieldlum scene fit)"
         raise InputError(path, f"a scene of format {table.get('format')}", expected, remedy)
+    for name in ("room_draws", "expected_log10_mse", "trusted_share"):  # of earlier versions
+        table.pop(name, None)
     return build(Scene, table, str(path))
