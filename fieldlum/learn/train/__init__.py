@@ -276,7 +276,7 @@ def fit_and_score(
         fit_s=spent.wall_s,
         data=data,
         notes=tuple(notes),
-        year=year if year is None or not untrusted else replace(year, trusted_share=0.0),
+        year=year if year is None or not untrusted else year._replace(trusted_share=0.0),
         mirrors=mirrors,
         untrusted=untrusted,
     )
