@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
@@ -19,10 +20,12 @@ from fieldlum.session import Journal, day_files, marks, read_day, sha256
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.year.stage_status import stage_status
 
+BEFORE = datetime(2027, 3, 1, tzinfo=UTC)  # the slots are on 20 March
+
 
 @pytest.mark.contract
 def test_status_counts_from_files_alone(rig: Field) -> None:
-    before = stage_status(rig.session)
+    before = stage_status(rig.session, BEFORE)
     assert before["capture"]["owed"] == 3 and before["capture"]["next"] == "20270320T153000Z"
     rig.run()
     after = stage_status(rig.session)
@@ -42,9 +45,13 @@ def test_a_slot_before_a_captured_one_is_missed(rig: Field) -> None:
     lines = rig.session.journal.read_text().splitlines(keepends=True)
     rest = [line for line in lines if slots[1].id not in line]
     rig.session.journal.write_text("".join(rest))
-    capture = stage_status(rig.session)["capture"]
+    capture = stage_status(rig.session, BEFORE)["capture"]
     assert (capture["done"], capture["missed"], capture["owed"]) == (2, 1, 0)
     assert capture["next"] is None
+    rig.session.journal.write_text("")
+    late = slots[1].t_utc + rig.session.grace + timedelta(seconds=1)
+    capture = stage_status(rig.session, late)["capture"]
+    assert (capture["missed"], capture["owed"], capture["next"]) == (2, 1, slots[2].id)
 
 
 @pytest.mark.contract

@@ -46,8 +46,28 @@ def test_a_padded_title_and_a_foreign_time_column_are_read(
     read = read_logger_file(path, timedelta(hours=2), asked)
     assert read.samples[0].t_utc == datetime(2027, 3, 20, 10, tzinfo=UTC)
     assert [sample.ghi_wm2 for sample in read.samples] == [800.5, 801.0]
-    with pytest.raises(InputError, match=r"no column Zeit.*--column time="):
+    with pytest.raises(InputError, match=r"no column Zeit.*after --column"):
         read_logger_file(path, timedelta(hours=2), {"time": "Zeit"})
+
+
+@pytest.mark.parametrize(
+    ("names", "asked", "hour"),
+    [
+        ("t_utc;x;ghi_wm2", "t_utc", 12),
+        ("Tyd UTC;x;ghi_wm2", "Tyd UTC", 12),
+        ("datetime;Tyd;ghi_wm2", "Tyd", 11),
+        ("Begin Tyd;Tyd;ghi_wm2", "tyd", 11),
+        ("Zeit;;\nx;Zeit;ghi_wm2", "Zeit", 11),
+    ],
+)
+def test_the_named_time_column_is_used_with_its_zone(
+    tmp_path: Path, names: str, asked: str, hour: int
+) -> None:
+    """The second column is an hour later than the first; the logger's clock is UTC+2."""
+    path = tmp_path / "a.csv"
+    path.write_text(f"{names}\n2027-03-20 12:00;2027-03-20 13:00;800\n")
+    read = read_logger_file(path, timedelta(hours=2), {"time": asked})
+    assert read.samples[0].t_utc == datetime(2027, 3, 20, hour, tzinfo=UTC)
 
 
 @pytest.mark.parametrize(

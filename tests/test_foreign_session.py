@@ -774,7 +774,7 @@ def test_what_is_packed_comes_from_the_session(
     frame.parent.mkdir(parents=True)
     frame.touch()
 
-    def exchanged(session: Session) -> list[str]:
+    def exchanged(session: Session, setup: str) -> list[str]:
         frame.unlink()
         frame.symlink_to(secret)
         return []

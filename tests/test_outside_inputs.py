@@ -949,7 +949,7 @@ def test_a_zone_in_the_heading_counts(tmp_path: Path, head: str, hours: int) -> 
     assert read.samples[0].t_utc == datetime(2027, 3, 20, 6, tzinfo=UTC) - timedelta(hours=hours)
     assert any("--utc-offset" in n or "no offset" in n for n in read.notes) == (hours != 2)
     (tmp_path / "a.csv").write_text("when,ghi_wm2\n2027-03-20 06:00:00,160\n")
-    with pytest.raises(InputError, match="t_utc if it is in UTC, else time, and state --logger"):
+    with pytest.raises(InputError, match="--column time=NAME, and state --logger-utc-offset"):
         read_logger_file(tmp_path / "a.csv", timedelta(0))
 
 

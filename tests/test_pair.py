@@ -512,21 +512,6 @@ def test_a_refused_row_stays_in_the_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
-def test_a_row_that_was_left_out_by_hand_stays_out(tmp_path: Path) -> None:
-    """The next `pair` used it again, without a word."""
-    session = make_session(tmp_path / "s", None)
-    pair.run(session)
-    stored = PairsFile.read(session.pairs)
-    PairsFile(session.pairs, (replace(stored.rows[0], ok=False), stored.rows[1])).write()
-    for _ in range(2):
-        with pytest.warns(Caution, match="1 row of pairs.csv with ok = 0, set by hand"):
-            rows = pair.run(session)
-        assert [row.ok for row in rows] == [False, True]
-    PairsFile(session.pairs, (replace(rows[0], ok=True), rows[1])).write()
-    assert all(row.ok for row in pair.run(session))
-
-
-@pytest.mark.contract
 def test_a_sun_of_few_pixels_is_said(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", None)
     note = session.panoramas / f"{slot_id(NOON)}.json"

@@ -14,7 +14,7 @@ from learning_room import dataset, write_pairs
 from test_transport import SETUP, TEST, TRAIN, log_mse, model_of_train
 
 from fieldlum.cli import main
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Slot
 from fieldlum.core.room_states import merged_state, parse_state
 from fieldlum.learn import models
@@ -76,11 +76,21 @@ def test_a_marked_lamp_is_learnt_and_can_be_switched() -> None:
 @pytest.mark.analytic
 def test_captures_of_a_marked_blind_are_not_learnt() -> None:
     """A blind of two afternoons made DGP of the other hours five times as wrong."""
-    states = tuple("blind=half;lamp=on" if k < 4 else "" for k in range(len(TRAIN)))
+    n = len(TRAIN)
+    states = tuple("blind=half;lamp=on" if k < 4 else "" for k in range(n))
     marked = replace(TRAIN, light=replace(TRAIN.light, states=states))
     usual = in_usual_room(marked)
     assert len(usual) == len(TRAIN) - 4 and not any(usual.light.states or ())
     assert "not learnt: 4 captures marked blind=half; the year" in usual.notes[-1]
+    left_out = tuple("use=no" if k < 4 else "" for k in range(len(TRAIN)))
+    assert len(in_usual_room(replace(TRAIN, light=replace(TRAIN.light, states=left_out)))) == n - 4
+    mostly = ("blind=half",) * (n - 5) + ("",) * 5
+    few = in_usual_room(replace(TRAIN, light=replace(TRAIN.light, states=mostly)))
+    assert few.notes[-1].startswith("WARNING")
+    with pytest.raises(NotEnoughDataError, match="marked blind=half; 2 captures without such"):
+        in_usual_room(
+            replace(TRAIN, light=replace(TRAIN.light, states=("blind=half",) * (n - 2) + ("",) * 2))
+        )
     lamps = replace(TRAIN, light=replace(TRAIN.light, states=("lamp=on",) * len(TRAIN)))
     assert in_usual_room(lamps) is lamps and in_usual_room(TRAIN) is TRAIN
     tinted = ("tint=full",) * (len(TRAIN) - 1) + ("tint=half",)

@@ -177,11 +177,11 @@ def test_an_outdated_year_is_never_used_silently(session: Session, tmp_path: Pat
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert newest_annual(session) is not None
-    assert not any("Year nearest" in note for note in _notes(session))
+    assert not any("Year nearest" in note for note in _notes(session, ""))
     merge(session, weight=0.6)
     with pytest.warns(Caution, match="office: Year nearest is of another model"):
         newest_annual(session)
-    assert outdated_text(session, year) in _notes(session)
+    assert outdated_text(session, year) in _notes(session, "")
     with pytest.warns(Caution):
         assert overview_of(tmp_path, "office").caution == outdated_text(session, year)
     (tmp_path / "C.toml").write_text('[[room]]\nsession = "office"\n')

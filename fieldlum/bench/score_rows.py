@@ -105,7 +105,7 @@ def load(
     data, _ = apply_scene(data, pairs, scene, "absolute")
     if test is None:
         return BenchData(data, None, specs)
-    test_data, _ = apply_scene(load_pairs(test, site), pairs, scene, "absolute")
+    test_data, _ = apply_scene(in_usual_room(load_pairs(test, site)), pairs, scene, "absolute")
     frames = [(some.shape, round(some.heading_deg, 2)) for some in (test_data, data)]
     if frames[0] != frames[1]:
         found, needed = (f"{w} x {h} pixels, heading {deg:g}" for (h, w), deg in frames)

@@ -256,6 +256,9 @@ def _check(samples: Samples) -> None:
         raise InputError(source, finding, "linear values above zero", "correct or remove it")
 
 
+_SPARSE_ERROR = 0.1  # relative; a good reading of 6 to 8 is up to 5 % from the curve; chosen
+
+
 def _contradicting(samples: Samples) -> Mask:
     """Return a mask [n], True for readings that contradict their neighbours.
 
@@ -278,6 +281,8 @@ def _contradicting(samples: Samples) -> Mask:
         if outer.size and not near.any():
             near = away < max(0.12, outer.min() - r[i] + 0.02)
         outliers[i] = near.any() and np.median(np.abs(off[near])) < MAX_ERROR / 2
+        # between readings that are far apart, the curve is less certain
+        outliers[i] &= bool((near & (away < 0.12)).any() or abs(off[i]) > _SPARSE_ERROR)
     return outliers
 
 

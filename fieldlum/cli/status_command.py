@@ -20,7 +20,8 @@ def command(
 
     Options:
       --mark SLOT|DATE STATE: Record the room's state at a slot, or at all captured slots of a
-          local date: lamp=on|off, blind=up|half|down, tint=clear|half|full, snow=yes|no.
+          local date: lamp=on|off, blind=up|half|down, tint=clear|half|full,
+          snow=yes|no, use=yes|no.
     """
     from fieldlum.session import mark_slot
     from fieldlum.year.stage_status import stage_status

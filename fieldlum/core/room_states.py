@@ -1,7 +1,8 @@
 """Define the states of a room with which captures can be marked: lamps, blinds, tint, snow.
 
 A state is text such as ``lamp=on;blind=half``; an empty text is the usual room (lamps off, blinds
-up, clear glass, no snow). Lamps add light; the other words change the room's response to daylight.
+up, clear glass, no snow). Lamps add light; the other words change the room's response to daylight,
+or, as use=no, leave a capture out.
 """
 
 import numpy as np
@@ -14,6 +15,7 @@ STATE_VALUES = {
     "blind": ("up", "half", "down"),
     "tint": ("clear", "half", "full"),
     "snow": ("no", "yes"),
+    "use": ("yes", "no"),
 }
 """Words of a state and their values; the first value of each is the usual one and is omitted."""
 
@@ -49,9 +51,9 @@ def cover_state(text: str) -> str:
 
 
 def without_lamps(text: str) -> str:
-    """Return the unusual parts of a state that change the room's response to daylight.
+    """Return the unusual parts of a state with which a capture is not of the usual room.
 
-    Several parts (of blind, snow and tint) are separated by semicolons. Raises ValueError as
+    Several parts (of blind, snow, tint and use) are separated by semicolons. Raises ValueError as
     `parse_state` does.
     """
     return ";".join(part for part in parse_state(text) if not part.startswith(LAMP_WORD))

@@ -123,20 +123,17 @@ def read_logger_file(
     first_bytes = b""
     with suppress(OSError), files.open_to_read(path) as file:
         first_bytes = file.read(len(_NETCDF))
-    asked = {**(columns or {})}
-    time_name = asked.pop("time", "")
-    options = (utc_offset, asked, sensitivities or {})
+    options = (utc_offset, columns or {}, sensitivities or {})
     if first_bytes == _NETCDF:
         logger_file = read_rows(path, _netcdf(path), *options)
     else:
         text = strict_csv.read_text(path, "a logger's file in csv or TOA5")
-        if time_name:
-            text = _with_time_name(path, text, time_name)
         if text.startswith(",".join(DAY_COLUMNS)):
             samples, damaged = read_day(path)
             logger_file = LoggerFile(tuple(samples), (f"{damaged} broken rows",) if damaged else ())
         else:
-            logger_file = read_rows(path, text_table(path, text), *options)
+            table = text_table(path, text, options[1].get("time", ""))
+            logger_file = read_rows(path, table, *options)
     _check_readable(path, logger_file)
     notes = logger_file.notes
     largest_wm2 = max(s.ghi_wm2 or s.dni_wm2 or s.dhi_wm2 or 0.0 for s in logger_file.samples)
@@ -145,20 +142,6 @@ def read_logger_file(
         notes += (f"largest irradiance {largest_wm2:.3g} W/m2: a voltage needs --sensitivity",)
     ordered = tuple(sorted(logger_file.samples, key=lambda s: s.t_utc))
     return replace(logger_file, samples=ordered, notes=notes)
-
-
-def _with_time_name(path: Path, text: str, name: str) -> str:
-    """Return the text of a csv whose time column `name` is called time, with the zone in brackets.
-
-    Raises InputError without such a column.
-    """
-    marks, usual = f'[{_SEPARATORS}" ]', "".join(("time", *name.partition("(")[1:]))
-    pattern = rf"(?mi)(^|{marks}){re.escape(name)}(?={marks}|$)"
-    text, count = re.subn(pattern, rf"\1{usual}", text, count=1)
-    if not count:
-        remedy = "correct the name after --column time="
-        raise InputError(path, f"no column {name}", "a column of times", remedy)
-    return text
 
 
 def _check_readable(path: Path, logger_file: LoggerFile) -> None:
@@ -188,12 +171,14 @@ def _check_readable(path: Path, logger_file: LoggerFile) -> None:
 # formats
 
 
-def text_table(path: Path, text: str) -> _Table:
+def text_table(path: Path, text: str, time_name: str = "") -> _Table:
     """Return the text of a TOA5 or csv file as a table; path: for errors.
 
+    time_name: of the column of times, if the user states it; it finds the line of names.
     Raises InputError for an incomplete header, an empty file, or names that cannot be split.
     """
-    return _toa5(path, text) if text.startswith(('"TOA5",', "TOA5,")) else _csv(path, text)
+    is_toa5 = text.startswith(('"TOA5",', "TOA5,"))
+    return _toa5(path, text) if is_toa5 else _csv(path, text, time_name)
 
 
 def _toa5(path: Path, text: str) -> _Table:
@@ -222,7 +207,7 @@ def _toa5(path: Path, text: str) -> _Table:
     return _Table(names, units, body, is_logger=True, cut=cut)
 
 
-def _csv(path: Path, text: str) -> _Table:
+def _csv(path: Path, text: str, time_name: str) -> _Table:
     """Return the text of a csv file as a table; path: for errors.
 
     Without a line of names, the first column is called time, and the others by their numbers. A
@@ -235,7 +220,7 @@ def _csv(path: Path, text: str) -> _Table:
     if not lines:
         expected = "a header with t_utc and one or more of ghi_wm2, dhi_wm2, dni_wm2"
         raise InputError(path, "an empty file", expected, "copy the file from the logger again")
-    above, mark = _header(lines)
+    above, mark = _header(lines, time_name)
     lines = lines[above:]
     names = strict_csv.split_header(path, lines[0], mark)
     with suppress(ValueError):
@@ -251,18 +236,20 @@ def _csv(path: Path, text: str) -> _Table:
     return _Table(names, units, lines[1:], mark=mark, in_utc=text.startswith(_PANGAEA))
 
 
-def _header(lines: Sequence[strict_csv.Line]) -> tuple[int, str]:
+def _header(lines: Sequence[strict_csv.Line], time_name: str) -> tuple[int, str]:
     """Return how many lines are above the column names, such as a title, and the cells' separator.
 
-    The column names are the first line with the name of a time column, unless a line above it has
-    as many cells, none of them empty, and so is a row of the table. Without such a line, the names
-    are the first line.
+    The column names are the first line with `time_name`, or without one with a usual name of a time
+    column, unless a line above it has as many cells, none of them empty, and so is a row of the
+    table. Without such a line, the names are the first line.
     """
     for above, (_, line) in enumerate(lines[:200]):
         mark = _mark_of(line)
         with suppress(ValueError):
             names = strict_csv.split_row(line, mark)
-            if len(names) > 1 and {"stamp", "hour"} & set(map(_kind_of_time, names)):
+            kinds = {time_name} if time_name in names else set(map(_kind_of_time, names))
+            wanted = {time_name} if time_name else {"stamp", "hour"}
+            if sum(map(bool, names)) > 1 and wanted & kinds:  # more than a title
                 rows_above = [text.split(mark) for _, text in lines[:above]]
                 is_row = any(len(row) == len(names) and all(row) for row in rows_above)
                 return (0, ",") if is_row else (above, mark)
@@ -416,7 +403,7 @@ def read_rows(
     strict_csv.check_names(path, [name.lower() for name in names])
     index = _columns(path, table, asked)
     factor, notes = _factors(path, table, index, sensitivities)
-    times = _TimeColumns(path, table, utc_offset)
+    times = _TimeColumns(path, table, utc_offset, asked.get("time", ""))
     has_commas = _has_decimal_commas(table, index.values())
     samples: list[IrradianceSample] = []
     right_rows: list[list[str]] = []
@@ -593,10 +580,11 @@ class _TimeColumns:
     offset, and for dates such as 1/2/2015 of which day and month cannot be distinguished.
     """
 
-    def __init__(self, path: Path, table: _Table, utc_offset: timedelta | None) -> None:
+    def __init__(self, path: Path, table: _Table, utc_offset: timedelta | None, asked: str) -> None:
         """Find the columns of the time, and the column of its offset if the table has one.
 
-        path: for errors; utc_offset: as the user states it, None if not stated.
+        path: for errors; utc_offset, asked (name of the column): as the user states them, None and
+        "" if not stated.
         """
         names = [name.lower().replace(" ", "") for name in table.names]
         self._path, self._utc_offset, self._names = path, utc_offset, table.names
@@ -610,9 +598,11 @@ class _TimeColumns:
         others = [[dates[0], hours[0]]] if dates and hours else [[k] for k in (*dates, *hours)]
         unnamed = [[0]] if not names[0] else []  # the index of a table, as pandas writes it
         candidates = [*([k] for k in stamps), *others] or unnamed
+        if asked:
+            candidates = [[[name.lower() for name in table.names].index(asked.lower())]]
         if not candidates:
             columns = f"columns {', '.join(table.names)[:120]}"
-            remedy = "name it: --column time=NAME; state --logger-utc-offset if it is not in UTC"
+            remedy = "name it: --column time=NAME, and state --logger-utc-offset (+00:00 for UTC)"
             raise InputError(path, columns, "a column t_utc or time", remedy)
         in_utc = {k for k, zone in enumerate(zones) if zone and not zone[1]}
         self._columns = min(candidates, key=in_utc.isdisjoint)  # the first in UTC, else the first

@@ -8,7 +8,6 @@ the stage and traces the sun patches.
 import warnings
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import timedelta
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 
 from fieldlum.core import errors
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
-from fieldlum.core.records import Flag, Panorama, Site, SiteFile, counted, parse_utc, utc_text
+from fieldlum.core.records import Flag, Panorama, Site, SiteFile, parse_utc, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
@@ -38,7 +37,6 @@ from fieldlum.sky import log_clock_offset, picture_axes, sun
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.sky_directions import BEAM_LX
 
-_BY_HAND = "ok = 0 was set by hand"  # in `why`: a row that `pair` would use
 _CLIPPED_PERCENT = 50.0  # more of the view says little about the room; chosen
 
 
@@ -162,7 +160,7 @@ def judge(
         steadiness=light.steadiness,
         ok=not why,
         why=why or _joined(*doubts, light.caution),
-        doubtful=bool(why) or light.doubtful,
+        doubtful=light.doubtful,
     )
 
 
@@ -201,21 +199,12 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
         remove_scraps(folder)
     setup, log = session.site_file(), CleanIrradiance.read(session.clean_irradiance)
     check_night(session.clean_irradiance, log, setup.site)
-    refused: dict[str, PairRow] = {}
-    with suppress(InputError):
-        stored = PairsFile.find(session.pairs)
-        refused = {Path(row.panorama).stem: row for row in stored.refused}
     places = sun.position([b.capture.t_mid_utc for b in brackets], setup.site)
     angles = np.stack([places.altitude_deg, places.azimuth_deg], axis=1).tolist()
     rows = [
         judge(b, irradiance_during(log, b.capture.t_open_utc, b.capture.t_close_utc), *at)
         for b, at in zip(brackets, angles, strict=True)
     ]
-    for k, (bracket, row) in enumerate(zip(brackets, rows, strict=True)):
-        # `judge` refuses no row without a doubt
-        old = refused.get(bracket.slot) if row.ok else None
-        if old and (not old.doubtful or old.why in (row.why, _BY_HAND)):
-            rows[k] = replace(row, ok=False, why=_BY_HAND)
     usable = [k for k, row in enumerate(rows) if row.ok]
     used = ([brackets[k] for k in usable], [rows[k] for k in usable])
     completed = _complete_suns(session, setup, *used, force, scheduler)
@@ -225,11 +214,6 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
     rows = [replace(row, inputs=inputs[b.slot]) for b, row in zip(brackets, rows, strict=True)]
     pairs = PairsFile(session.pairs, tuple(rows))
     pairs.write()
-    if kept := sum(row.why == _BY_HAND for row in rows):
-        found = f"{counted(kept, 'row')} of pairs.csv with ok = 0, set by hand"
-        warnings.warn(
-            f"{found}, are left out; set ok = 1 to use them", errors.Caution, stacklevel=2
-        )
     for text in pairs.pair_again:
         warnings.warn(text.removeprefix("WARNING: "), errors.Caution, stacklevel=2)
     return rows

@@ -5,7 +5,6 @@ A room that cannot be read is named on the page.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -111,7 +110,6 @@ def overview_of(folder: Path, name: str) -> RoomOverview:
 
     folder: of CAMPAIGN.toml; name: the session's folder, as the file states it. No error is raised.
     """
-    from fieldlum.session.slot_states import slots_ahead
     from fieldlum.year.stage_status import stage_status
 
     try:
@@ -125,7 +123,7 @@ def overview_of(folder: Path, name: str) -> RoomOverview:
             caution="" if annual is None else outdated_text(session, annual),
             captured=capture["done"],
             planned=stages["plan"]["slots"],
-            to_do=len(slots_ahead(session, datetime.now(UTC))),
+            to_do=capture["owed"],
             usable=len(pairs.usable),
             failed=capture["missed"] + capture["aborted"] + len(pairs.refused),
             occupied_hours=year.occupancy.hours,

@@ -118,6 +118,8 @@ class Share(NamedTuple):
 
     def text(self) -> str:
         """Return a text such as "12 % (8 to 15)", without the interval if its ends round alike."""
+        if np.isnan(self[0]):
+            return "unknown"
         value, low, high = (f"{part:.0f}" for part in self)
         return f"{value} %" if low == high else f"{value} % ({low} to {high})"
 

@@ -15,21 +15,21 @@ from fieldlum.session.journal import damaged_lines
 from fieldlum.session.slot_states import SETTLED, SlotStates, read_slot_states, slots_to_do
 
 
-def stage_status(session: Session) -> JsonTable:
+def stage_status(session: Session, now_utc: datetime | None = None) -> JsonTable:
     """Return what each stage of a session has done and must still do; keys of `status --json`.
 
-    session, name: folder and site. plan: set, slots (number), first_utc and last_utc (starts of
-    slots). capture: numbers of slots done, missed (also those whose time is over, or which are
-    before a captured one), aborted and owed (still to do), and of frames; next: id of a slot or
-    None; device_lost, clock_steps, suspends: numbers of events;
-    damaged_lines: line numbers in the journal. irradiance: numbers of days and rows, last (date or
-    None), cleaned (whether clean.csv exists). merge, pair: numbers of panoramas done and owed; pair
-    also: of usable rows; pairs of which `PairsFile.outdated` are owed, and so are
+    now_utc: the present time, None for the computer's. session, name: folder and site. plan: set,
+    slots (number), first_utc and last_utc (starts of slots). capture: numbers of slots done, missed
+    (also those whose time is over, or which are before a captured one), aborted and owed (still to
+    do), and of frames; next: id of a slot or None; device_lost, clock_steps, suspends: numbers of
+    events; damaged_lines: line numbers in the journal. irradiance: numbers of days and rows, last
+    (date or None), cleaned (whether clean.csv exists). merge, pair: numbers of panoramas done and
+    owed; pair also: of usable rows; pairs of which `PairsFile.outdated` are owed, and so are
     panoramas of another camera profile. train: models, the names, and outdated, those of other
     pairs than the present ones. predict: years, the names, and outdated, those of a model that is
     outdated or was trained again. report: done (bool), outdated (bool): older than a year.
-    next_step: see `next_step`. Raises InputError for a file of the session
-    that cannot be used, OSError for one that cannot be read.
+    next_step: see `next_step`. Raises InputError for a file of the session that cannot be used,
+    OSError for one that cannot be read.
     """
     slots, recorded = session.slots(), read_slot_states(session)
     states = {slot.id: recorded.state(slot.id) for slot in slots}
@@ -45,8 +45,10 @@ def stage_status(session: Session) -> JsonTable:
     paired = {p.stem for p in pictures if p.parts[:1] == (session.panoramas.name,)} - outdated
     usable = [row for row in pairs.usable if Path(row.panorama).stem not in outdated]
     # A past slot, or one before a captured one, cannot be captured, but may be on a card.
-    to_do, first = slots_to_do(slots, recorded), datetime.now(UTC) - session.grace
-    ahead = [s for s in to_do if s.id > max(captured, default="") and s.t_utc > first]
+    to_do, first = slots_to_do(slots, recorded), (now_utc or datetime.now(UTC)) - session.grace
+    after = [s for s in to_do if s.id > max(captured, default="")]
+    running = {s.id for s in after if recorded.state(s.id).outcome == "started"}
+    ahead = [s for s in after if s.t_utc > first or s.id in running]
     answer = {
         "session": str(session.root),
         "name": session.site_file().site.name,

@@ -656,12 +656,13 @@ def with_sky_view(data: Dataset, file: Path | None = None) -> Dataset:
 
 
 def in_usual_room(data: Dataset) -> Dataset:
-    """Return the captures without those marked with a blind, a tint or snow, and name these.
+    """Return the captures without those marked with blind, tint, snow or use=no, and name these.
 
     A predicted year is of the usual room. In a classroom of which a blind covers the window in 15
     to 40 % of the captures, learning these too made DGP of the other hours 3 to 16 times as wrong
     as leaving them out (scratch; four patterns of days, rendered by `room.simulate`). Without a
-    usual capture the most frequent state is the usual one.
+    usual capture the most frequent state is the usual one. Raises NotEnoughDataError if under three
+    of more captures are usual.
     """
     texts = data.light.states or ("",) * len(data)
     states = [room_states.without_lamps(text) for text in texts]
@@ -671,6 +672,10 @@ def in_usual_room(data: Dataset) -> Dataset:
         return data
     others = listed(sorted({*states} - {usual}))
     found = f"not learnt: {counted(int((~kept).sum()), 'capture')} marked {others}"
+    if (count := int(kept.sum())) < 3 <= len(data):
+        few = f"{counted(count, 'capture')} without such a mark: capture more hours"
+        raise NotEnoughDataError(f"{data.source}: {found}; {few}")
+    found = f"WARNING: {found}" if count < len(data) / 2 else found
     note = f"{found}; the year is of the room in its {usual or 'usual state'}"
     return replace(data.take(kept), notes=(*data.notes, note))
 

@@ -393,8 +393,8 @@ def step_warnings(data: Dataset) -> list[str]:
         f"WARNING: from {starts[k]} on, pictures are {1.0 / max(1.0 - size, 1e-3):.2f} times as "
         "bright as before in the same irradiance. Possible causes are a cleaned window, another "
         "pyranometer or its calibration, another camera profile: correct the irradiance or the "
-        "profile; if the room changed for good, set ok = 0 in pairs.csv for the captures before, "
-        "and train again"
+        "profile; if the room changed for good, mark the captures before with use=no (fieldlum "
+        "status --mark; in a csv ok = 0), and train again"
     ]
 
 

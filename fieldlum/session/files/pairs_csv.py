@@ -177,8 +177,7 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         with suppress(ValueError):
             t_utc = parse_utc(cells["t_utc"])
         row = PairRow(t_utc, cells["panorama"], math.nan, math.nan, ok=False, line=line)
-        row = replace(row, doubtful=cells.get("doubtful") == "1", inputs=cells.get("inputs", ""))
-        return replace(row, why=cells.get("why", ""))
+        return replace(row, why=cells.get("why", ""), inputs=cells.get("inputs", ""))
     all_cells = {"doubtful": _was_doubtful(cells), **cells, "line": str(line)}
     row = codec.read_row(PairRow, where, all_cells, _REMEDY)
     codec.check_format(path, row.format, FORMAT)

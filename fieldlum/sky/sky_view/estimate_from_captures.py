@@ -108,8 +108,9 @@ def sky_view_of(
 ) -> SkyView:
     """Return the sky view of captures, with one for each state of blinds and tint.
 
-    Captures with snow are not used, unless all captures by daylight have it. Without a capture of
-    the usual state, the most frequent state is the main view. discs: those that merge measured;
+    Captures with snow or use=no are not used, unless all captures by daylight have it. Without a
+    capture of the usual state, the most frequent state is the main view. discs: those that merge
+    measured;
     heading_deg: stated azimuth of the pictures' centre column, clockwise from north; seen: returns
     a mask [p] of the directions [p, 3] that a lens saw. Raises NotEnoughDataError without a capture
     by daylight, which is over 1 000 lx of diffuse light.
@@ -119,7 +120,8 @@ def sky_view_of(
     if not lit:
         raise NotEnoughDataError("a sky view needs captures by daylight; none has 1 000 lx outside")
     by_state: dict[str, list[int]] = {}
-    for k in [k for k in lit if "snow=yes" not in room_states.parse_state(states[k])] or lit:
+    left_out = {"snow=yes", "use=no"}
+    for k in [k for k in lit if left_out.isdisjoint(room_states.parse_state(states[k]))] or lit:
         by_state.setdefault(room_states.cover_state(states[k]), []).append(k)
     captured = replace(captured, light=replace(captured.light, states=None))
     first = "" if "" in by_state else max(by_state, key=lambda state: len(by_state[state]))
