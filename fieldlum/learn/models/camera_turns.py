@@ -16,16 +16,7 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 from skimage.measure import block_reduce
 
-from fieldlum.core.arrays import (
-    Array,
-    Dates,
-    Floats,
-    Floats16,
-    Floats32,
-    Indices,
-    Mask,
-    evenly_spread,
-)
+from fieldlum.core.arrays import Array, Dates, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.progress import progress
 from fieldlum.core.records import counted, listed
 from fieldlum.learn.models.held_out_choice import weight_of_variance
@@ -428,7 +419,7 @@ def _pieces(values: Array) -> list[tuple[int, int]]:
 
 
 def align(
-    maps: Floats32, has_value: Mask, counts: Floats16, heading_deg: float, turns: CameraTurns
+    maps: Floats32, has_value: Mask, counts: Array, heading_deg: float, turns: CameraTurns
 ) -> None:
     """Turn maps, masks and weights of captures back to the pose that most captures share, in place.
 

@@ -13,16 +13,7 @@ from fieldlum.core import room_states
 from fieldlum.core.arrays import Array, Dates, Floats, Floats16, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.progress import progress
-from fieldlum.core.records import (
-    CLIPPED_SUN,
-    Flag,
-    Panorama,
-    Site,
-    SiteFile,
-    counted,
-    listed,
-    slot_id,
-)
+from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SiteFile, counted, slot_id
 from fieldlum.learn.models.camera_turns import align, camera_turns, shown_place, turn_notes
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.images import read_panorama, stated_heading_deg
@@ -670,7 +661,7 @@ def in_usual_room(data: Dataset) -> Dataset:
     kept = np.array([state == usual for state in states], bool)
     if kept.all():
         return data
-    others = listed(sorted({*states} - {usual}))
+    others = " and ".join(sorted({*states} - {usual}))
     found = f"not learnt: {counted(int((~kept).sum()), 'capture')} marked {others}"
     if (count := int(kept.sum())) < 3 <= len(data):
         few = f"{counted(count, 'capture')} without such a mark: capture more hours"
