@@ -11,9 +11,9 @@ def command(session: OpenSession, out: Path | None = None, view_azimuths: Azimut
     """Write a session's results for other programs.
 
     maps/SLOT-AZIMUTH.hdr: Radiance fisheyes with VIEW, for evalglare; sky_view.csv: the share of
-    the sun's beam that arrives from each direction, and sky_view_mask.png; room.rad and
-    room.hbjson: the fitted or stated room, for Radiance and honeybee; pairs.nc and year.nc: netCDF
-    with units, for xarray. pairs.csv and hourly.csv of the session are tables already.
+    the sun's beam that arrives from each direction, and sky_view_mask.png; room.rad: the fitted or
+    stated room, for Radiance; pairs.nc and year.nc: netCDF with units, for xarray. pairs.csv and
+    hourly.csv of the session are tables already.
 
     \b
     Example:

@@ -1,6 +1,6 @@
 """Write a session for others: files of other programs, and an archive for publication.
 
-`export` writes Radiance, honeybee, netCDF and csv. The archive of `pack` is a zip with the
+`export` writes Radiance, netCDF and csv. The archive of `pack` is a zip with the
 session's files, DATASHEET.md (Gebru et al., Commun. ACM 64, 2021, in short), datacite.json
 (DataCite Metadata Schema 4.5) and MANIFEST.sha256.
 """
@@ -29,7 +29,7 @@ from fieldlum.optics import images, profiles, raw
 from fieldlum.optics.projection import NOT_SEEN, direction, seen_shares, seen_words
 from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.room.fit.scene_file import SCENE_TOML, read_scene
-from fieldlum.room.scene import box_room, radiance, write_honeybee
+from fieldlum.room.scene import box_room, radiance
 from fieldlum.session import Session, codec, panorama_sun, replacing_path, write_file
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.sky.sky_view.view import SkyView
@@ -41,7 +41,6 @@ from fieldlum.year.predict.annual import time_coordinate, unit_of
 
 _FISHEYE_PX = 800  # evalglare's documentation recommends at least this for -vta pictures
 _Y_AXIS = "# y points to azimuth"  # the first words of a room.rad of `export`
-_MARK_BYTES = 100  # at the beginning of a file of `export`, which name it; room.hbjson needs 50
 _PAIR_COLUMNS = ("dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg")
 
 
@@ -52,20 +51,18 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
     true north; the camera's heading if empty). sky_view.csv: by altitude_deg and azimuth_deg,
     beam_share: the share of the sun's beam that arrives from there, with its 95 % bounds low and
     high, empty where it is unknown (not seen, or never sunny); sky_view_mask.png: the same as a
-    fisheye. room.rad: the fitted room, else the stated one, in room axes; room.hbjson: the same for
-    honeybee, in true north.
+    fisheye. room.rad: the fitted room, else the stated one, in room axes.
     pairs.nc: usable rows of pairs.csv; year.nc: the newest predicted year; both netCDF 3 with
     units. Earlier files of these names are replaced. Raises InputError for a damaged file, and for
-    a room.rad or room.hbjson in `out` that export did not write; NotEnoughDataError without a
+    a room.rad in `out` that export did not write; NotEnoughDataError without a
     merged map and a predicted year.
     """
     panoramas = session.panorama_files()
     if not panoramas and not session.annual_folders():
         raise NotEnoughDataError(f"{session.root}: no merged map and no year; run fieldlum merge")
     (out / "maps").mkdir(parents=True, exist_ok=True)
-    views_deg = azimuths_deg or (session.site_file().camera.heading_deg,)
     not_written: set[float] = set()
-    files = [*_sky(session, out), *_room(session, out, views_deg), *_pairs(session, out)]
+    files = [*_sky(session, out), *_room(session, out), *_pairs(session, out)]
     if (annual := newest_annual(session)) is not None:
         files.append(_netcdf(annual.to_xarray(), out / "year.nc"))
     for number, path in enumerate(panoramas):
@@ -121,12 +118,11 @@ def _sky(session: Session, out: Path) -> list[Path]:
     return [table, picture]
 
 
-def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Path]:
-    """Write room.rad for Radiance and room.hbjson for honeybee; return the files.
+def _room(session: Session, out: Path) -> list[Path]:
+    """Write room.rad for Radiance; return the file.
 
     The fitted room is written if it was chosen, else the stated one; without a box room nothing is.
-    azimuths_deg: view directions in room.hbjson. Raises InputError if one of the files exists and
-    was not written by export.
+    Raises InputError if the file exists and was not written by export.
     """
     scene = session.root / "scene"
     room: Room | None = session.site_file().room
@@ -135,15 +131,13 @@ def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Pa
         room = fitted.room if fitted.chosen == "fitted" else room
     if room is None or room.kind != "box":
         return []
-    rad_file, honeybee_file = out / "room.rad", out / "room.hbjson"
-    for file, mark in ((rad_file, _Y_AXIS), (honeybee_file, write_honeybee.MODEL_NAME)):
-        if file.is_file() and mark.encode() not in read_bytes(file)[:_MARK_BYTES]:
-            found = "a file that export did not write"
-            raise InputError(file, found, "another folder", "choose another --out")
+    file = out / "room.rad"
+    if file.is_file() and not read_bytes(file).startswith(_Y_AXIS.encode()):
+        found = "a file that export did not write"
+        raise InputError(file, found, "another folder", "choose another --out")
     north = f"{_Y_AXIS} {(room.wall_azimuth_deg + 180) % 360:g} deg from true north\n"
-    write_file(rad_file, north + radiance.rad_text(box_room.build(room)))
-    codec.write_object(honeybee_file, write_honeybee.honeybee_model(room, azimuths_deg))
-    return [rad_file, honeybee_file]
+    write_file(file, north + radiance.rad_text(box_room.build(room)))
+    return [file]
 
 
 def _pairs(session: Session, out: Path) -> list[Path]:
